@@ -1,0 +1,1 @@
+"""What the car and the controller talk about: types, parameters, paths, scenarios, topics, bags."""

@@ -1,0 +1,89 @@
+"""YAML <-> dataclass. Every complaint names the file, the key, the value and the bound."""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from ampc_msgs_config.parameters import Checked
+
+T = TypeVar("T", bound=Checked)
+MAX_BYTES = 16_000_000
+
+
+def shipped(folder: str) -> dict[str, Path]:
+    """Give the YAML files that come with the package, by the name that a user types."""
+    root = Path(str(resources.files("ampc_msgs_config"))) / "config" / folder
+    return {file.stem: file for file in sorted(root.glob("*.yaml"))}
+
+
+def find(folder: str, name: str) -> Path:
+    """Give the file of a shipped name, or of the path that a user wrote.
+
+    Raises:
+        ValueError: There is neither; the message lists the shipped names.
+    """
+    known = shipped(folder)
+    if name in known:
+        return known[name]
+    if Path(name).is_file():
+        return Path(name)
+    raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {', '.join(known)}")
+
+
+def read(file: Path) -> dict[str, Any]:
+    """Read a YAML mapping safely."""
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise ValueError(f"{file}: {file.stat().st_size} bytes are more than {MAX_BYTES}")
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file}: cannot be read: {error}") from error
+    except yaml.YAMLError as error:
+        raise ValueError(f"{file}: not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{file}: must hold a mapping of keys, not {type(content).__name__}")
+    return content
+
+
+def build(cls: type[T], content: Any, where: str) -> T:
+    """Make a parameter object of a mapping.
+
+    Args:
+        cls: A `Checked` dataclass.
+        content: Mapping of exactly its fields; those with a default may be missing.
+        where: File and section, for the message.
+
+    Raises:
+        ValueError: Unknown or missing key, wrong type, or a value outside its range.
+    """
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{where}: must be a mapping of keys, not {content!r}")
+    known = {item.name: item for item in fields(cls)}
+    for key in content:
+        if key not in known:
+            raise ValueError(f"{where}: unknown key {key!r}; known are {', '.join(known)}")
+    for key, item in known.items():
+        if key not in content and item.default is MISSING:
+            raise ValueError(f"{where}: missing key {key!r}")
+    try:
+        return cls(**{key: _as_float(value) for key, value in content.items()})
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def load(cls: type[T], file: Path, section: str = "") -> T:
+    """Load one section of a YAML file, or the whole file, as a parameter object."""
+    content = read(file)
+    if not section:
+        return build(cls, content, str(file))
+    if section not in content:
+        raise ValueError(f"{file}: missing section {section!r}")
+    return build(cls, content[section], f"{file}: {section}")
+
+
+def _as_float(value: Any) -> Any:
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -1,0 +1,142 @@
+"""Analytic paths of the scenarios: the paper's lane changes, ISO 3888, simple shapes."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ampc_msgs_config import config
+from ampc_msgs_config.parameters import SizeParameters
+from ampc_msgs_config.path import Array
+
+
+class Lane(NamedTuple):
+    """A gate of cones of an ISO track, from `start` to `end` along X [m]."""
+
+    start: float
+    end: float
+    right: float
+    left: float
+
+
+def q(z: Any) -> Any:
+    """Rise smoothly from 0 to 1 while z goes from 0 to 1: 10 z^3 - 15 z^4 + 6 z^5."""
+    z = np.clip(z, 0.0, 1.0)
+    return z**3 * (10 - 15 * z + 6 * z**2)
+
+
+def check_known(content: Mapping[str, Any], keys: set[str], where: str) -> None:
+    for key in content:
+        if key not in keys:
+            raise ValueError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(keys))}")
+
+
+def bounded(
+    content: Mapping[str, Any], key: str, low: float, high: float, default: float | None = None
+) -> float:
+    value = content[key] if default is None else content.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ValueError(f"{key} = {value!r} must be a number in [{low:g}, {high:g}]")
+    return float(value)
+
+
+def other_scenario(name: str) -> dict[str, Any]:
+    return config.read(config.find("scenarios", name))
+
+
+Curve = Callable[[Array], Array]
+
+
+def make_curve(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
+    """Give a function from arc length or X (n,) to points (n, 2), and the lanes of ISO tracks."""
+    kind = content["kind"]
+    if kind == "same_as":
+        stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
+        curve, lanes = make_curve(other_scenario(content["scenario"])["path"], size)
+        return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), lanes
+    if kind == "iso3888":
+        return _iso3888(int(bounded(content, "part", 1, 2)), size.width)
+    if kind not in CURVES:
+        known = ", ".join(sorted([*CURVES, "same_as", "iso3888"]))
+        raise ValueError(f"path: kind = {kind!r} must be one of {known}")
+    return CURVES[kind](content), ()
+
+
+def _graph(function: Callable[[Array], Array]) -> Curve:
+    return lambda x: np.column_stack((x, function(x)))
+
+
+def _moves(content: Mapping[str, Any]) -> Curve:
+    rows = [(m["start"], m["over"], m["by"]) for m in content["moves"]]
+    return _graph(lambda x: np.sum([by * q((x - start) / over) for start, over, by in rows], axis=0))
+
+
+def _tanh_lane_change(_: Mapping[str, Any]) -> Curve:
+    def lateral(x: Array) -> Array:
+        z1 = 2.4 / 25.0 * (x - 27.19) - 1.2
+        z2 = 2.4 / 21.95 * (x - 56.46) - 1.2
+        return np.asarray(4.05 / 2 * (1 + np.tanh(z1)) - 5.7 / 2 * (1 + np.tanh(z2)))
+
+    return _graph(lateral)
+
+
+def _straight(_: Mapping[str, Any]) -> Curve:
+    return _graph(np.zeros_like)
+
+
+def _sine(content: Mapping[str, Any]) -> Curve:
+    amplitude = bounded(content, "amplitude", -1000.0, 1000.0)
+    wave = math.tau / bounded(content, "wavelength", 1.0, 1.0e5)
+    return _graph(lambda x: amplitude * np.sin(wave * x) * q(x * wave / math.tau))
+
+
+def _circle(content: Mapping[str, Any]) -> Curve:
+    radius = bounded(content, "radius", -1.0e5, 1.0e5)
+    if abs(radius) < 1.0:
+        raise ValueError(f"radius = {radius:g} must be at least 1 m to either side")
+    return lambda s: radius * np.column_stack((np.sin(s / radius), 1 - np.cos(s / radius)))
+
+
+CURVES: dict[str, Callable[[Mapping[str, Any]], Curve]] = {
+    "moves": _moves,
+    "tanh_lane_change": _tanh_lane_change,
+    "straight": _straight,
+    "sine": _sine,
+    "circle": _circle,
+}
+
+ISO_SECTIONS = {1: (15.0, 30.0, 25.0, 25.0, 30.0), 2: (12.0, 13.5, 11.0, 12.5, 12.0)}
+"""Lengths of entry lane, change, side lane, change back, exit lane [m]."""
+ISO_ENTRY = 40.0
+"""Straight approach before the first cone [m]."""
+
+
+def _iso3888(part: int, width: float) -> tuple[Curve, tuple[Lane, ...]]:
+    """Give the ISO 3888 track: smooth path through the middle of its lanes.
+
+    Note:
+        Widths follow the vehicle's: 1.1 b + 0.25, then 1.2 b + 0.25 (part 1) or b + 1 (part 2),
+        then 1.3 b + 0.25 m (at least 3 m in part 2). The 3.5 m offset of part 1 is read between
+        the RIGHT edges of entry and side lane; the 1 m of part 2 from the left edge of the entry
+        lane to the right edge of the side lane. The exit lane shares the entry lane's right edge.
+    """
+    entry, side, leave = 1.1 * width + 0.25, 1.2 * width + 0.25, 1.3 * width + 0.25
+    right = 3.5 - entry / 2
+    if part == 2:
+        side, leave = width + 1.0, max(leave, 3.0)
+        right = entry / 2 + 1.0
+    edges = ISO_ENTRY + np.concatenate(([0.0], np.cumsum(ISO_SECTIONS[part])))
+    lanes = (
+        Lane(edges[0], edges[1], -entry / 2, entry / 2),
+        Lane(edges[2], edges[3], right, right + side),
+        Lane(edges[4], edges[5], -entry / 2, leave - entry / 2),
+    )
+    middle = [(lane.left + lane.right) / 2 for lane in lanes]
+    out, back = middle[1] - middle[0], middle[2] - middle[1]
+
+    def lateral(x: Array) -> Array:
+        rise = out * q((x - edges[1]) / (edges[2] - edges[1]))
+        return np.asarray(rise + back * q((x - edges[3]) / (edges[4] - edges[3])))
+
+    return _graph(lateral), lanes

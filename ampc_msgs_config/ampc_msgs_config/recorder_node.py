@@ -1,0 +1,235 @@
+"""Node `recorder`: writes every topic of the contract to a bag, and loses nothing.
+
+It says `recording to <folder>` when all of its subscriptions stand; from then on `metadata.yaml`
+lies in the folder. SIGINT and SIGTERM end it, after all that was published before has come in.
+
+Note:
+    The log time of a message is the time of its reception. In simulated time (`use_sim_time`) it
+    is the stamp in the message, or without one the `/clock` that was published last before it:
+    the same run gives the same times. The publish time always is wall time.
+"""
+
+import signal
+import struct
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.types import NANOSECONDS, Diagnosis
+
+WRITE_PERIOD = 0.4
+"""Wall time between two batches [s]."""
+HOLD = 0.1
+"""Wall time for which a message waits for others that were published before it [s]."""
+QUIET = 0.3
+"""Wall time without a message after which nothing is in flight any more [s]."""
+
+CONTRACT: dict[str, Any] = {
+    ros.CLOCK: ClockMessage,
+    ros.ODOM: Odometry,
+    ros.REFERENCE_PATH: PathMessage,
+    ros.TARGET_SPEED: TwistStamped,
+    ros.STEERING_COMMAND: JointState,
+    ros.STEERING_STATE: JointState,
+    ros.WIND: Vector3Stamped,
+    ros.DIAGNOSTICS: DiagnosticArray,
+    **{f"controller/debug/{name}": Float64 for name in (*Diagnosis._fields, "solve_time")},
+}
+LATCHED_TOPICS = (ros.REFERENCE_PATH,)
+EVERYTHING_LATCHED = QoSProfile(
+    depth=0,
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+WHATEVER = QoSProfile(
+    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+"""For publishers that offer less than we ask for, such as the sensors of a car."""
+
+
+class Arrival(NamedTuple):
+    """A serialised message that has come in."""
+
+    publish_ns: int
+    """Wall time of publishing [ns]."""
+    receive_ns: int
+    """Wall time of reception [ns]."""
+    topic: str
+    data: bytes
+
+
+class Recorder(Node):
+    """Collects serialised messages, and writes them in the order of their publishing."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder", start_parameter_services=False)
+        output = self.text_parameter("output", "Folder of the bag; it must not hold one.")
+        self.simulated = bool(self.get_parameter("use_sim_time").value)
+        self.arrivals: list[Arrival] = []
+        self.clock_ns: int | None = None
+        self.listen_until_ns = sys.maxsize
+        self.heard = time.monotonic()
+        self.lost = 0
+        self.inputs: dict[str, Subscription] = {}
+        self.refused: set[str] = set()
+        for name, message_type in CONTRACT.items():
+            latched = name in LATCHED_TOPICS
+            topic = self.resolve_topic_name(name)
+            self.subscribe(topic, message_type, EVERYTHING_LATCHED if latched else ros.EVERYTHING)
+        self.recording = Recording(Path(output))
+        self.create_timer(
+            WRITE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self.get_logger().info(f"recording to {self.recording.folder}")
+
+    def text_parameter(self, name: str, description: str) -> str:
+        """Give a parameter that must be set."""
+        value = self.declare_parameter(name, "", ParameterDescriptor(description=description)).value
+        if not value:
+            raise ValueError(f"parameter {name!r} must be set: {description}")
+        return str(value)
+
+    def subscribe(self, topic: str, message_type: Any, qos: QoSProfile) -> None:
+        """Listen to a topic."""
+        events = SubscriptionEventCallbacks(
+            message_lost=self.on_lost, incompatible_qos=lambda _: self.refused.add(topic)
+        )
+        receive = partial(self.on_message, topic)
+        self.inputs[topic] = self.create_subscription(
+            message_type, topic, receive, qos, raw=True, event_callbacks=events
+        )
+
+    def on_message(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+        """Keep a message until it is written."""
+        arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
+        self.arrivals.append(arrival)
+        if arrival.publish_ns < self.listen_until_ns:
+            self.heard = time.monotonic()
+
+    def on_lost(self, event: Any) -> None:
+        """Count messages that the middleware dropped."""
+        self.lost += event.total_count_change
+
+    def on_timer(self) -> None:
+        """Write what has waited long enough."""
+        self.write_older_than(time.time_ns() - int(HOLD * NANOSECONDS))
+        self.recording.flush()
+        while self.refused:
+            self.resubscribe(self.refused.pop())
+
+    def resubscribe(self, topic: str) -> None:
+        """Ask for less where a publisher does not offer what we asked for."""
+        self.get_logger().warning(f"{topic}: a publisher is not reliable; messages may be lost")
+        refused = self.inputs[topic]
+        self.destroy_subscription(refused)
+        self.subscribe(topic, refused.msg_type, WHATEVER)
+
+    def write_older_than(self, limit_ns: int) -> None:
+        """Write the messages received before a wall time, in the order of their publishing."""
+        ready = sorted(arrival for arrival in self.arrivals if arrival.receive_ns < limit_ns)
+        self.arrivals = [arrival for arrival in self.arrivals if arrival.receive_ns >= limit_ns]
+        for arrival in ready:
+            self.write(arrival)
+
+    def write(self, arrival: Arrival) -> None:
+        """Write one message."""
+        topic, message_type = arrival.topic, self.inputs[arrival.topic].msg_type
+        if topic not in self.recording.topics:
+            offers = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+            self.recording.add_topic(topic, type_name(message_type), offers)
+        self.recording.write(topic, arrival.data, self.log_time(arrival), arrival.publish_ns)
+
+    def log_time(self, arrival: Arrival) -> int:
+        """Give the log time of a message, as the head of this file says [ns]."""
+        if not self.simulated:
+            return arrival.receive_ns
+        message_type = self.inputs[arrival.topic].msg_type
+        stamp_ns = stamp(arrival.data) if has_stamp(message_type) else 0
+        if message_type is ClockMessage:
+            self.clock_ns = stamp_ns
+        return stamp_ns or self.clock_ns or 0
+
+    def close(self) -> None:
+        """Write the rest, and close the bag."""
+        self.write_older_than(sys.maxsize)
+        self.recording.close()
+        bag = self.recording
+        self.get_logger().info(
+            f"recorded {bag.count} messages on {len(bag.topics)} topics, "
+            f"{(bag.end_ns - bag.start_ns) / NANOSECONDS:.1f} s, "
+            f"{bag.file.stat().st_size / 1e6:.2f} MB, {self.lost} lost: {bag.folder}"
+        )
+
+
+def type_name(message_type: Any) -> str:
+    """Give the name of a message class, such as `nav_msgs/msg/Odometry`."""
+    package = message_type.__module__.split(".")[0]
+    return f"{package}/msg/{message_type.__name__}"
+
+
+def has_stamp(message_type: Any) -> bool:
+    """Tell whether a message begins with a time."""
+    first = next(iter(message_type.get_fields_and_field_types().values()), "")
+    return first in ("std_msgs/Header", "builtin_interfaces/Time")
+
+
+def stamp(data: bytes) -> int:
+    """Give the time at the beginning of a serialised message [ns]."""
+    order = "<" if data[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(order + "iI", data, 4)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
+
+
+def record(recorder: Recorder, signals: list[int]) -> None:
+    """Record until a signal comes, and then until nothing is in flight."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(recorder)
+    while not signals:
+        executor.spin_once(timeout_sec=0.1)
+    recorder.listen_until_ns = time.time_ns()
+    recorder.heard = time.monotonic()
+    while time.monotonic() - recorder.heard < QUIET:
+        executor.spin_once(timeout_sec=0.05)
+    recorder.close()
+
+
+def main() -> int:
+    """Run the node; signals are handled here, because rclpy's handlers end the middleware at once."""
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: signals.append(number))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        record(Recorder(), signals)
+    except (ValueError, OSError) as error:
+        print(f"recorder: {error}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""The values that cross the border between car and controller, without ROS.
+
+Frames and signs follow REP-103 and REP-105: x forward, y left, yaw and steering positive to the
+left; `map` is fixed, `base_link` is the centre of the rear axle unless a parameter moves it.
+"""
+
+import math
+from typing import NamedTuple
+
+NANOSECONDS = 1_000_000_000
+
+
+class VehicleState(NamedTuple):
+    """Measured motion of the car at one instant, as `odom` carries it."""
+
+    stamp_ns: int
+    """Time of the measurement [ns]."""
+    x: float
+    """Position in `map` [m]."""
+    y: float
+    """Position in `map` [m]."""
+    yaw: float
+    """Heading in `map`, in [-pi, pi] [rad]."""
+    v_x: float
+    """Longitudinal velocity in the body frame [m/s]."""
+    v_y: float
+    """Lateral velocity in the body frame, at the point that x and y describe [m/s]."""
+    yaw_rate: float
+    """Yaw rate [rad/s]."""
+
+
+class Diagnosis(NamedTuple):
+    """What a controller can say about one step; each field is one debug topic."""
+
+    cross_track_error: float = math.nan
+    """Signed distance of the centre of gravity from the path, positive to its left [m]."""
+    heading_error: float = math.nan
+    """Heading minus the path's heading [rad]."""
+    active_constraints: float = 0.0
+    """Number of constraint rows that hold with equality in the solution."""
+    slack: float = 0.0
+    """Violation of the softened output rows [m]."""
+    solver_iterations: float = 0.0
+    """Steps of the active-set method, or sweeps of Hildreth's."""
+    converged: float = 1.0
+    """1 where the QP was solved, 0 where the controller fell back on its last angle."""
+    prediction_horizon: float = math.nan
+    """N_p in use [ticks]."""
+    control_horizon: float = math.nan
+    """N_c in use [ticks]."""
+    laguerre_terms: float = math.nan
+    """N in use."""
+    laguerre_pole: float = math.nan
+    """alpha in use."""
+    output_weight: float = math.nan
+    """Q in use."""
+    increment_weight: float = math.nan
+    """R in use."""
+    outside_table: float = 0.0
+    """1 where the speed or reference lies outside the gain table's grid and was clamped."""
+
+
+class Command(NamedTuple):
+    """Answer of a controller to one state."""
+
+    stamp_ns: int
+    """Stamp of the state that it answers [ns]."""
+    steering: float
+    """Road-wheel angle of the equivalent single front wheel [rad]."""
+    steering_rate: float
+    """Rate at which the angle is to be reached [rad/s]."""
+    diagnosis: Diagnosis
+
+
+def wrap_angle(angle: float) -> float:
+    """Give the same direction in [-pi, pi] [rad]."""
+    return math.remainder(angle, math.tau)
+
+
+def quaternion_from_yaw(yaw: float) -> tuple[float, float]:
+    """Give the z and w components of the unit quaternion of a rotation about z."""
+    return math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Give the yaw of a quaternion in the z-y-x convention, in [-pi, pi] [rad]."""
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def as_received(state: VehicleState) -> VehicleState:
+    """Give the state as a subscriber reads it: the heading has been a quaternion on the wire."""
+    z, w = quaternion_from_yaw(state.yaw)
+    return state._replace(yaw=yaw_from_quaternion(0.0, 0.0, z, w))
+
+
+def at_distance(state: VehicleState, distance: float) -> VehicleState:
+    """Move the point that a state describes forward along the body's x axis by `distance` [m]."""
+    return state._replace(
+        x=state.x + distance * math.cos(state.yaw),
+        y=state.y + distance * math.sin(state.yaw),
+        v_y=state.v_y + distance * state.yaw_rate,
+    )

@@ -1,0 +1,63 @@
+"""Controllers by name, behind one `step()`."""
+
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.path import Path
+from ampc_msgs_config.types import Command, VehicleState
+from ampc_ros.gain_table import load_gain_table
+from ampc_ros.lateral_mpc import LateralMpc
+from ampc_ros.pure_pursuit import PurePursuit
+
+CONTROLLERS = {
+    "paper": "adaptive MPC of the paper, model at the measured speed",
+    "classic": "the same MPC with its model fixed at a nominal speed",
+    "pure_pursuit": "geometric baseline on the rear axle",
+}
+CLASSIC_SPEED = 9.0
+"""Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
+
+
+class Controller(Protocol):
+    """What every controller offers: one command for one state, and a fresh start."""
+
+    steering: float
+    """Angle commanded last [rad]."""
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer a state at `base_link`."""
+
+    def reset(self) -> None:
+        """Forget all earlier steps."""
+
+
+class Choices(NamedTuple):
+    """What a user chooses, by shipped names or files."""
+
+    controller: str = "paper"
+    vehicle: str = "paper"
+    settings: str = "table3"
+    gain_table: str = "table3"
+    base_link_to_cg: float | None = None
+    """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
+
+
+def make_controller(choices: Choices) -> Controller:
+    """Make the controller that a user chose.
+
+    Raises:
+        ValueError: A name is unknown, or a file is missing or wrong.
+    """
+    chassis = load(ChassisParameters, find("vehicles", choices.vehicle), "chassis")
+    settings = load(ControllerSettings, find("controllers", choices.settings))
+    if choices.controller == "pure_pursuit":
+        return PurePursuit(chassis, settings, choices.base_link_to_cg)
+    if choices.controller not in CONTROLLERS:
+        known = ", ".join(CONTROLLERS)
+        raise ValueError(f"controller = {choices.controller!r} must be one of {known}")
+    if choices.controller == "classic":
+        settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
+    table = load_gain_table(choices.gain_table)
+    return LateralMpc(chassis, settings, table, choices.base_link_to_cg)

@@ -1,0 +1,203 @@
+"""The paper's controller: adaptive MPC with Laguerre increments towards a held set-point."""
+
+from dataclasses import astuple
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.path import Path, Progress
+from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
+from ampc_ros.constraints import input_rows, output_rows, soften
+from ampc_ros.gain_table import GainTable, Gains
+from ampc_ros.laguerre import laguerre_sequence
+from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
+from ampc_ros.prediction import predict, quadratic_cost
+from ampc_ros.reference import path_frame
+from ampc_ros.qp import Qp, QpSolution, active_set, hildreth
+
+Array = NDArray[np.float64]
+
+MAX_CONDITION = 1e12
+"""Condition number of E above which a gain set is refused: the exact solver would lose its digits."""
+
+
+class Limits(NamedTuple):
+    """Bounds and solver of one step, for compiled code."""
+
+    T: float
+    Delta_u_max: float
+    u_max: float
+    half_width: float
+    slack_weight: float
+    exact: bool
+    sweeps: int
+    tolerance: float
+
+
+class Tick(NamedTuple):
+    """What one step knows: speed of the model, augmented state (5,), angle in force, set-point."""
+
+    v_x: float
+    x: Array
+    u: float
+    r: float
+
+
+@compiled
+def problem(vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick) -> Qp:
+    """Pose the quadratic programme of Eq. (17) in eta for one step."""
+    N_p, N_c, N, alpha, Q, R = gains
+    A_k, B_k = zero_order_hold(*lateral_dynamics(vehicle, tick.v_x), limits.T)
+    A, B = augment(A_k, B_k)
+    L = laguerre_sequence(alpha, N, N_c)
+    F, Phi = predict(A, B, L, N_p)
+    error = tick.r - F @ tick.x
+    E, K = quadratic_cost(Phi, error, L, Q, R)
+    hard = input_rows(L, tick.u, limits.Delta_u_max, limits.u_max)
+    soft = output_rows(Phi, error, N_c, limits.half_width)
+    return Qp(*soften(E, K, hard, soft, limits.slack_weight))
+
+
+@compiled
+def solve(qp: Qp, limits: Limits) -> QpSolution:
+    """Solve with the solver that the settings name."""
+    if limits.exact:
+        return active_set(qp)
+    return hildreth(qp, limits.sweeps, limits.tolerance)
+
+
+@compiled
+def plan(
+    vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick
+) -> tuple[float, int, float, QpSolution]:
+    """First move of one step.
+
+    Returns:
+        L(0)' eta clipped to its bound [rad], the number of active rows, the slack [m], and the
+        solution they come from.
+    """
+    solution = solve(problem(vehicle, gains, limits, tick), limits)
+    N = gains.laguerre_terms
+    L_0 = laguerre_sequence(gains.laguerre_pole, N, 1)[0]
+    Delta_u = (L_0 * solution.x[:N]).sum()
+    slack = solution.x[N] if len(solution.x) > N else 0.0
+    bounded = min(max(Delta_u, -limits.Delta_u_max), limits.Delta_u_max)
+    return bounded, (solution.multipliers > 0.0).sum(), slack, solution
+
+
+class LateralMpc:
+    """Adaptive MPC of the paper; with a nominal speed set, the classic MPC it is compared with."""
+
+    def __init__(
+        self,
+        chassis: ChassisParameters,
+        settings: ControllerSettings,
+        table: GainTable,
+        base_link_to_cg: float | None = None,
+    ) -> None:
+        """Make a controller at rest.
+
+        Args:
+            chassis: The car as the controller believes it to be.
+            settings: Limits and solver.
+            table: Gains by speed and lateral reference.
+            base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
+                [m]; by default `odom` describes the rear axle.
+
+        Raises:
+            ValueError: A gain set makes the problem numerically singular.
+        """
+        self.vehicle: Vehicle = astuple(chassis)
+        self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
+        self.nominal_speed = settings.nominal_speed
+        self.limits = limits_of(settings)
+        self.table = table
+        for gains in table.nodes:
+            check_conditioning(self.vehicle, gains, self.limits)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier steps: no angle commanded, no increment known, no path."""
+        self.steering = 0.0
+        self.last: Array | None = None
+        self.path: Path | None = None
+        self.table.reset()
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer one state: set-point, gains, model, prediction, bounds, QP, first move.
+
+        Args:
+            state: At `base_link`.
+            path: The reference; another object is taken as another path.
+
+        Raises:
+            ValueError: The path is no graph over its chord.
+        """
+        if path is not self.path:
+            self._take_path(path)
+        car = at_distance(state, self.to_cg)
+        X, Y, yaw = self.frame.place(car)
+        r = self.frame.set_point(X)
+        gains, outside = self.table.lookup(car.v_x, r)
+        x = self._augmented_state(np.array([car.v_y, yaw, car.yaw_rate, Y]))
+        v_x = self.nominal_speed or car.v_x
+        tick = Tick(v_x, x, self.steering, r)
+        Delta_u, active, slack, solution = plan(self.vehicle, gains, self.limits, tick)
+        rate = self._steer(Delta_u if solution.converged else 0.0)
+        errors = self.progress.errors(car)
+        diagnosis = Diagnosis(
+            *errors, active, slack, solution.iterations, solution.converged, *gains, outside
+        )
+        return Command(car.stamp_ns, self.steering, rate, diagnosis)
+
+    def _take_path(self, path: Path) -> None:
+        """Follow a new path: new inertial frame, increments start anew, the angle is kept."""
+        self.frame, self.progress = path_frame(path), Progress(path)
+        self.path, self.last = path, None
+
+    def _augmented_state(self, x: Array) -> Array:
+        """x~ = [Delta x, y] of Eq. (9); no increment is known at the first step."""
+        Delta_x = x - (x if self.last is None else self.last)
+        Delta_x[1] = wrap_angle(Delta_x[1])
+        self.last = x
+        return np.append(Delta_x, x[3])
+
+    def _steer(self, Delta_u: float) -> float:
+        """Move the commanded angle by an increment, within its bound; gives the rate [rad/s]."""
+        before, bound = self.steering, self.limits.u_max
+        self.steering = min(max(before + Delta_u, -bound), bound)
+        return (self.steering - before) / self.limits.T
+
+
+def limits_of(settings: ControllerSettings) -> Limits:
+    """Give the settings as compiled code takes them."""
+    return Limits(
+        settings.sample_time,
+        settings.max_increment,
+        settings.max_angle,
+        settings.max_output_error,
+        settings.slack_weight,
+        settings.solver == "active_set",
+        int(settings.hildreth_sweeps),
+        settings.hildreth_tolerance,
+    )
+
+
+def check_conditioning(vehicle: Vehicle, gains: Gains, limits: Limits) -> None:
+    """Refuse gains that make E of Eq. (17) numerically singular.
+
+    Raises:
+        ValueError: Names the Laguerre terms and pole, the condition number and its bound.
+    """
+    for v_x in (3.0, 27.0):
+        E = problem(vehicle, gains, limits, Tick(v_x, np.zeros(5), 0.0, 0.0)).E
+        N = gains.laguerre_terms
+        condition = float(np.linalg.cond(E[:N, :N]))
+        if not condition <= MAX_CONDITION:
+            raise ValueError(
+                f"gains: laguerre_terms = {N} with laguerre_pole = {gains.laguerre_pole:g} give "
+                f"cond(E) = {condition:.1e} at {v_x:g} m/s, must be at most {MAX_CONDITION:.0e}"
+            )

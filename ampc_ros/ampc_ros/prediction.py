@@ -1,0 +1,56 @@
+"""From the model to the quadratic cost: Eqs. (10)-(11)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ampc_msgs_config.compiled import compiled
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def predict(A: Array, B: Array, L: Array, N_p: int) -> tuple[Array, Array]:
+    """F (N_p, n) and Phi (N_p, N) of Y = F x + Phi eta, Eq. (10) with the increments of Eq. (24).
+
+    Args:
+        A: Augmented model (n, n); its output is the last state.
+        B: Augmented model (n,).
+        L: Laguerre functions (N_c, N); increments after N_c are zero.
+        N_p: Prediction horizon [ticks].
+
+    Note:
+        The identity for L gives F and Phi of Eq. (10) as printed.
+    """
+    n, N = len(A), L.shape[1]
+    F, Phi = np.empty((N_p, n)), np.empty((N_p, N))
+    row = np.zeros(n)
+    row[-1] = 1.0
+    response = np.zeros((n, N))
+    for i in range(N_p):
+        row = row @ A
+        response = A @ response
+        if i < len(L):
+            response += np.outer(B, L[i])
+        F[i] = row
+        Phi[i] = response[-1]
+    return F, Phi
+
+
+@compiled
+def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tuple[Array, Array]:
+    """E (N, N) and K (N,) of Eq. (17) for the cost of Eq. (11).
+
+    Args:
+        Phi: Forced response (N_p, N).
+        error: R_s - F x, what the free response leaves of the reference (N_p,) [m].
+        L: Laguerre functions (N_c, N).
+        Q: Weight of the output error.
+        R: Weight of the increments Delta u.
+
+    Note:
+        Truncation at N_c spoils the orthonormality of Eqs. (19)-(20), so the increments are
+        weighted with sum L(i) L(i)', not with the identity on eta.
+    """
+    E = 2 * (Q * (Phi.T @ Phi) + R * (L.T @ L))
+    K = -2 * Q * (Phi.T @ error)
+    return E, K
