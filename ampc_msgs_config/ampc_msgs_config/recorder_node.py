@@ -216,7 +216,7 @@ def record(recorder: Recorder, signals: list[int]) -> None:
 
 
 def main() -> int:
-    """Run the node; signals are handled here, because rclpy's handlers end the middleware at once."""
+    """Run the node. Signals are handled here: rclpy would end the middleware at once."""
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.append(number))

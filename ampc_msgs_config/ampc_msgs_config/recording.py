@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -70,7 +70,7 @@ class Recording:
         self.count = self.start_ns = self.end_ns = 0
         self.flushed = time.monotonic()
         self.stream = create(self.file)
-        self.writer = Writer(self.stream)
+        self.writer: Any = Writer(self.stream)
         self.writer.start(profile="ros2", library="ampc_msgs_config")
         self.flush()
 
@@ -151,7 +151,7 @@ def to_yaml(content: Any) -> str:
     return str(yaml.dump(content, Dumper=Dumper, sort_keys=False))
 
 
-@lru_cache(maxsize=None)
+@cache
 def define(type_name: str) -> Definition:
     """Give the definition of an installed message type.
 
