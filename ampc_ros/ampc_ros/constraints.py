@@ -14,72 +14,78 @@ FIRST_OUTPUT_STEP = 5
 
 
 @compiled
-def two_sided(rows: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Write low <= rows x <= high as M x <= gamma, (2 k, n) and (2 k,)."""
-    return np.vstack((rows, -rows)), np.concatenate((high, -low))
+def running_sum(L: Array) -> Array:
+    """Row i is L(0) + .. + L(i): the angle that the increments add up to, (N_c, N)."""
+    total = np.zeros_like(L)
+    for i in range(len(L)):
+        for j in range(L.shape[1]):
+            total[i, j] = L[i, j] + (total[i - 1, j] if i > 0 else 0.0)
+    return total
 
 
 @compiled
-def input_rows(L: Array, u: float, Delta_u_max: float, u_max: float) -> tuple[Array, Array]:
-    """Increment and angle bounds over the control horizon, Eqs. (13) and (14).
+def output_steps(N_p: int, N_c: int, half_width: float) -> int:
+    """Number of steps whose output is bounded: the fifth to N_c; none without a bound."""
+    if not math.isfinite(half_width):
+        return 0
+    return max(min(N_c, N_p) - (FIRST_OUTPUT_STEP - 1), 0)
+
+
+@compiled
+def put_two_sided(M: Array, gamma: Array, at: int, row: Array, low: float, high: float) -> None:
+    """Write low <= row x <= high into rows `at` and `at` + 1 of M x <= gamma."""
+    for j in range(len(row)):
+        M[at, j] = row[j]
+        M[at + 1, j] = -row[j]
+    gamma[at] = high
+    gamma[at + 1] = -low
+
+
+@compiled
+def input_rows(M: Array, gamma: Array, L: Array, u: float, bounds: tuple[float, float]) -> None:
+    """Fill increment and angle bounds over the control horizon, Eqs. (13), (14): 4 N_c rows.
 
     Args:
+        M: Rows to fill from the first on, (>= 4 N_c, >= N).
+        gamma: Their bounds.
         L: Laguerre functions (N_c, N).
-        u: Angle in force, u(k - 1), clipped into its bound so that no bound is infeasible [rad].
-        Delta_u_max: Bound of the increment per tick [rad].
-        u_max: Bound of the angle [rad].
+        u: Angle in force, u(k - 1), taken inside its bound so that no row is infeasible [rad].
+        bounds: Of the increment per tick and of the angle [rad].
     """
-    N_c = len(L)
-    angles = np.empty_like(L)
-    total = np.zeros(L.shape[1])
-    for i in range(N_c):
-        total = total + L[i]
-        angles[i] = total
-    M, gamma = two_sided(L, np.full(N_c, -Delta_u_max), np.full(N_c, Delta_u_max))
+    Delta_u_max, u_max = bounds
     held = min(max(u, -u_max), u_max)
-    M_u, gamma_u = two_sided(angles, np.full(N_c, -u_max - held), np.full(N_c, u_max - held))
-    return np.vstack((M, M_u)), np.concatenate((gamma, gamma_u))
+    angles = running_sum(L)
+    for i in range(len(L)):
+        put_two_sided(M, gamma, 4 * i, L[i], -Delta_u_max, Delta_u_max)
+        put_two_sided(M, gamma, 4 * i + 2, angles[i], -u_max - held, u_max - held)
 
 
 @compiled
-def output_rows(Phi: Array, error: Array, N_c: int, half_width: float) -> tuple[Array, Array]:
-    """Bounds |y - r| <= half_width from the fifth step to N_c, Eq. (15); none if it is infinite.
+def output_rows(M: Array, gamma: Array, Phi: Array, error: Array, half_width: float) -> None:
+    """Fill |y - r| <= half_width + slack, Eq. (15): from the fifth step on, then slack >= 0.
 
     Args:
+        M: Rows to fill, one pair a step and one for the slack, (2 k + 1, N + 1).
+        gamma: Their bounds.
         Phi: Forced response (N_p, N).
         error: R_s - F x (N_p,) [m].
-        N_c: Last step with output rows [ticks].
         half_width: Of the lane about the reference [m].
     """
-    stop = min(N_c, len(Phi)) if math.isfinite(half_width) else 0
-    first = min(FIRST_OUTPUT_STEP - 1, stop)
-    rows, middle = Phi[first:stop], error[first:stop]
-    return two_sided(rows, middle - half_width, middle + half_width)
+    rows, N = len(gamma), Phi.shape[1]
+    for k in range((rows - 1) // 2):
+        step = FIRST_OUTPUT_STEP - 1 + k
+        low, high = error[step] - half_width, error[step] + half_width
+        put_two_sided(M, gamma, 2 * k, Phi[step], low, high)
+    for i in range(rows):
+        M[i, N] = -1.0
 
 
 @compiled
-def soften(
-    E: Array, K: Array, hard: tuple[Array, Array], soft: tuple[Array, Array], weight: float
-) -> tuple[Array, Array, Array, Array]:
-    """Add one shared slack epsilon >= 0 for all soft rows: E, K, M, gamma of Eq. (17).
-
-    Args:
-        E: Hessian (N, N).
-        K: Linear term (N,).
-        hard: M (h, N) and gamma (h,) of the bounds that hold always.
-        soft: M (s, N) and gamma (s,) of the bounds that hold up to the slack.
-        weight: Of epsilon^2 in the cost.
-
-    Returns:
-        The problem in [eta, epsilon], of size N + 1; without soft rows the problem in eta alone.
-    """
-    (M_h, gamma_h), (M_s, gamma_s) = hard, soft
-    h, s, N = len(gamma_h), len(gamma_s), len(K)
-    if s == 0:
-        return E, K, M_h, gamma_h
+def with_slack(E: Array, K: Array, weight: float) -> tuple[Array, Array]:
+    """Cost in [eta, slack]: E (N + 1, N + 1) and K (N + 1,), with weight * slack^2 added."""
+    N = len(K)
     E_slack, K_slack = np.zeros((N + 1, N + 1)), np.zeros(N + 1)
-    E_slack[:N, :N], E_slack[N, N], K_slack[:N] = E, 2 * weight, K
-    M = np.zeros((h + s + 1, N + 1))
-    M[:h, :N], M[h : h + s, :N] = M_h, M_s
-    M[h:, N] = -1.0
-    return E_slack, K_slack, M, np.concatenate((gamma_h, gamma_s, np.zeros(1)))
+    E_slack[:N, :N] = E
+    E_slack[N, N] = 2 * weight
+    K_slack[:N] = K
+    return E_slack, K_slack

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
+from ampc_ros.small_matrices import apply
 
 Array = NDArray[np.float64]
 
@@ -40,5 +41,5 @@ def laguerre_sequence(alpha: float, N: int, steps: int) -> Array:
     L = np.empty((steps, N))
     for i in range(steps):
         L[i] = L_i
-        L_i = A_l @ L_i
+        L_i = apply(A_l, L_i)
     return L

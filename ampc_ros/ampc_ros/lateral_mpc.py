@@ -10,13 +10,14 @@ from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Path, Progress
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
-from ampc_ros.constraints import input_rows, output_rows, soften
+from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
 from ampc_ros.gain_table import GainTable, Gains
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
 from ampc_ros.prediction import predict, quadratic_cost
-from ampc_ros.reference import path_frame
 from ampc_ros.qp import Qp, QpSolution, active_set, hildreth
+from ampc_ros.reference import path_frame
+from ampc_ros.small_matrices import apply, dot
 
 Array = NDArray[np.float64]
 
@@ -48,17 +49,23 @@ class Tick(NamedTuple):
 
 @compiled
 def problem(vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick) -> Qp:
-    """Pose the quadratic programme of Eq. (17) in eta for one step."""
+    """Pose the quadratic programme of Eq. (17) in eta, and the slack if outputs are bounded."""
     N_p, N_c, N, alpha, Q, R = gains
     A_k, B_k = zero_order_hold(*lateral_dynamics(vehicle, tick.v_x), limits.T)
     A, B = augment(A_k, B_k)
     L = laguerre_sequence(alpha, N, N_c)
     F, Phi = predict(A, B, L, N_p)
-    error = tick.r - F @ tick.x
+    error = tick.r - apply(F, tick.x)
     E, K = quadratic_cost(Phi, error, L, Q, R)
-    hard = input_rows(L, tick.u, limits.Delta_u_max, limits.u_max)
-    soft = output_rows(Phi, error, N_c, limits.half_width)
-    return Qp(*soften(E, K, hard, soft, limits.slack_weight))
+    h, s = 4 * N_c, output_steps(N_p, N_c, limits.half_width)
+    if s > 0:
+        E, K = with_slack(E, K, limits.slack_weight)
+    m = h + 2 * s + 1 if s > 0 else h
+    M, gamma = np.zeros((m, len(K))), np.zeros(m)
+    input_rows(M, gamma, L, tick.u, (limits.Delta_u_max, limits.u_max))
+    if s > 0:
+        output_rows(M[h:], gamma[h:], Phi, error, limits.half_width)
+    return Qp(E, K, M, gamma)
 
 
 @compiled
@@ -82,10 +89,13 @@ def plan(
     solution = solve(problem(vehicle, gains, limits, tick), limits)
     N = gains.laguerre_terms
     L_0 = laguerre_sequence(gains.laguerre_pole, N, 1)[0]
-    Delta_u = (L_0 * solution.x[:N]).sum()
+    Delta_u = dot(L_0, solution.x[:N])
     slack = solution.x[N] if len(solution.x) > N else 0.0
     bounded = min(max(Delta_u, -limits.Delta_u_max), limits.Delta_u_max)
-    return bounded, (solution.multipliers > 0.0).sum(), slack, solution
+    active = 0
+    for multiplier in solution.multipliers:
+        active += multiplier > 0.0
+    return bounded, active, slack, solution
 
 
 class LateralMpc:

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
+from ampc_ros.small_matrices import product
 
 Array = NDArray[np.float64]
 Vehicle = tuple[float, float, float, float, float, float]
@@ -41,19 +42,20 @@ def lateral_dynamics(vehicle: Vehicle, v_x: float) -> tuple[Array, Array]:
 @compiled
 def matrix_exponential(A: Array) -> Array:
     """e^A of a small matrix (n, n): Taylor series of order 12 after scaling, then squaring."""
-    halvings = 0
-    norm = np.abs(A).sum()
+    n, halvings, norm = len(A), 0, 0.0
+    for i in range(n):
+        for j in range(n):
+            norm += abs(A[i, j])
     while norm > 0.5:
         norm /= 2
         halvings += 1
     scaled = A / 2.0**halvings
-    term = np.eye(len(A))
-    result = np.eye(len(A))
+    term, result = np.eye(n), np.eye(n)
     for k in range(1, 13):
-        term = term @ scaled / k
-        result = result + term
+        term = product(term, scaled) / k
+        result += term
     for _ in range(halvings):
-        result = result @ result
+        result = product(result, result)
     return result
 
 
@@ -70,7 +72,7 @@ def zero_order_hold(A_c: Array, B_c: Array, T: float) -> tuple[Array, Array]:
     block[:n, :n] = A_c * T
     block[:n, n] = B_c * T
     exponential = matrix_exponential(block)
-    return np.ascontiguousarray(exponential[:n, :n]), np.ascontiguousarray(exponential[:n, n])
+    return exponential[:n, :n].copy(), exponential[:n, n].copy()
 
 
 @compiled
@@ -82,8 +84,10 @@ def augment(A_k: Array, B: Array) -> tuple[Array, Array]:
         and there.
     """
     n = len(A_k)
-    A = np.zeros((n + 1, n + 1))
+    A, B_augmented = np.zeros((n + 1, n + 1)), np.empty(n + 1)
     A[:n, :n] = A_k
     A[n, :n] = A_k[n - 1]
     A[n, n] = 1.0
-    return A, np.append(B, B[n - 1])
+    B_augmented[:n] = B
+    B_augmented[n] = B[n - 1]
+    return A, B_augmented

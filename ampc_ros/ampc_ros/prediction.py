@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
+from ampc_ros.small_matrices import apply_transposed, gram, product
 
 Array = NDArray[np.float64]
 
@@ -24,16 +25,24 @@ def predict(A: Array, B: Array, L: Array, N_p: int) -> tuple[Array, Array]:
     n, N = len(A), L.shape[1]
     F, Phi = np.empty((N_p, n)), np.empty((N_p, N))
     row = np.zeros(n)
-    row[-1] = 1.0
+    row[n - 1] = 1.0
     response = np.zeros((n, N))
     for i in range(N_p):
-        row = row @ A
-        response = A @ response
+        row = apply_transposed(A, row)
+        response = product(A, response)
         if i < len(L):
-            response += np.outer(B, L[i])
+            add_outer(response, B, L[i])
         F[i] = row
-        Phi[i] = response[-1]
+        Phi[i] = response[n - 1]
     return F, Phi
+
+
+@compiled
+def add_outer(C: Array, a: Array, b: Array) -> None:
+    """Add a b' to C (m, n) in place."""
+    for i in range(len(a)):
+        for j in range(len(b)):
+            C[i, j] += a[i] * b[j]
 
 
 @compiled
@@ -51,6 +60,6 @@ def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tu
         Truncation at N_c spoils the orthonormality of Eqs. (19)-(20), so the increments are
         weighted with sum L(i) L(i)', not with the identity on eta.
     """
-    E = 2 * (Q * (Phi.T @ Phi) + R * (L.T @ L))
-    K = -2 * Q * (Phi.T @ error)
+    E = 2 * (Q * gram(Phi) + R * gram(L))
+    K = -2 * Q * apply_transposed(Phi, error)
     return E, K

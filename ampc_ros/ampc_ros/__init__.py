@@ -1,0 +1,1 @@
+"""What the controller believes and decides: model, prediction, constraints, QP, gains and nodes."""
