@@ -1,0 +1,1 @@
+"""What the car really does: tyres, masses, air, actuators and a driver, with or without ROS."""

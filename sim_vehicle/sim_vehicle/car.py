@@ -1,0 +1,128 @@
+"""One car that lives across control periods."""
+
+from typing import Any
+
+import numpy as np
+
+from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, numbers
+from sim_vehicle.vehicle import SIZE, STEERING, V_X, Array, drive
+
+RANGES: dict[str, dict[str, Any]] = {
+    "x": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
+    "y": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
+    "yaw": {"low": -1.0e3, "high": 1.0e3, "unit": "rad"},
+    "speed": {"low": 0.0, "high": 100.0, "unit": "m/s"},
+    "step": {"low": 1.0e-5, "high": 0.02, "unit": "s"},
+    "friction": {"low": 0.01, "high": 3.0, "unit": ""},
+    "steering": {"low": -10.0, "high": 10.0, "unit": "rad"},
+    "target_speed": {"low": 0.0, "high": 100.0, "unit": "m/s"},
+    "wind": {"low": -100.0, "high": 100.0, "unit": "m/s"},
+}
+
+
+class Car:
+    """The simulated car with its steering actuator and its driver.
+
+    Attributes:
+        state: (SIZE,) row of numbers as `vehicle.py` describes it.
+        friction: Coefficient mu in use; may be changed on the way.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        speed: float = 0.0,
+        *,
+        friction: float | None = None,
+        step: float = 0.005,
+        noise: MeasurementNoise | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        """Place a car that rolls straight ahead.
+
+        Args:
+            vehicle: Its parameters.
+            start: x and y of the CENTRE OF GRAVITY [m] and yaw [rad] in `map`.
+            speed: Forwards [m/s].
+            friction: Coefficient mu in place of the tyre's own.
+            step: Of the integration [s]; the steering delay is rounded to a multiple of it.
+            noise: On what `measure` gives.
+            rng: Source of the noise.
+
+        Raises:
+            ValueError: Names the argument, its value and its bound.
+        """
+        self.friction = vehicle.tyre.friction if friction is None else friction
+        x, y, yaw = start
+        _check(x=x, y=y, yaw=yaw, speed=speed, step=step, friction=self.friction)
+        if noise is not None and rng is None:
+            raise ValueError("noise needs rng, a numpy Generator")
+        self.state: Array = np.zeros(SIZE)
+        self.state[: V_X + 1] = x, y, yaw, speed
+        self._waiting: Array = np.zeros(round(vehicle.steering.delay / step))
+        self._numbers, self._step = numbers(vehicle), step
+        self._to_rear_axle = -vehicle.chassis.cg_to_rear_axle
+        self._noise, self._rng = noise, rng
+
+    @property
+    def steering(self) -> float:
+        """Real road-wheel angle [rad]."""
+        return float(self.state[STEERING])
+
+    def advance(self, steering: float, target_speed: float, wind: Array) -> None:
+        """Drive one control period: one integration step for each sample of the wind.
+
+        Args:
+            steering: Commanded road-wheel angle [rad].
+            target_speed: For the driver [m/s].
+            wind: (n, 2) velocity of the air in `map` [m/s].
+
+        Raises:
+            ValueError: Names the argument, its value and its bound.
+        """
+        if wind.ndim != 2 or wind.shape[1] != 2 or len(wind) == 0:
+            raise ValueError(f"wind has shape {wind.shape}, must be (n, 2) with n > 0")
+        _check(steering=steering, target_speed=target_speed)
+        _check(wind=float(wind.max()))
+        _check(wind=float(wind.min()))
+        self.state = drive(
+            self.state,
+            self._waiting,
+            steering,
+            target_speed,
+            wind,
+            self.friction,
+            self._step,
+            self._numbers,
+        )
+
+    def measure(self, stamp_ns: int) -> VehicleState:
+        """Give the motion at `base_link`, the centre of the rear axle, with noise if asked for."""
+        x, y, yaw, v_x, v_y, yaw_rate = (float(value) for value in self.state[:6])
+        centre = VehicleState(stamp_ns, x, y, wrap_angle(yaw), v_x, v_y, yaw_rate)
+        exact = at_distance(centre, self._to_rear_axle)
+        if self._noise is None or self._rng is None:
+            return exact
+        return noisy(exact, self._noise, self._rng)
+
+
+def noisy(state: VehicleState, noise: MeasurementNoise, rng: np.random.Generator) -> VehicleState:
+    """Add white noise to a measurement."""
+    e = (float(value) for value in rng.standard_normal(6))
+    return VehicleState(
+        stamp_ns=state.stamp_ns,
+        x=state.x + noise.position * next(e),
+        y=state.y + noise.position * next(e),
+        yaw=wrap_angle(state.yaw + noise.heading * next(e)),
+        v_x=state.v_x + noise.speed * next(e),
+        v_y=state.v_y + noise.lateral_velocity * next(e),
+        yaw_rate=state.yaw_rate + noise.yaw_rate * next(e),
+    )
+
+
+def _check(**values: float) -> None:
+    for name, value in values.items():
+        check_range(name, value, RANGES[name])
