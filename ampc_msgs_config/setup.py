@@ -1,0 +1,25 @@
+"""Installs ampc_msgs_config as an ament_python package."""
+
+from setuptools import setup
+
+PACKAGE = "ampc_msgs_config"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="What the car and the controller talk about: types, parameters, paths, scenarios, topics and recordings of AMPC for ROS 2.",
+    author="AMPC for ROS 2 developers",
+    author_email="maintainers@ampc-ros.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=[PACKAGE],
+    package_dir={"": "."},
+    package_data={PACKAGE: ["py.typed", "config/**/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["recorder = ampc_msgs_config.recorder_node:main"]},
+)

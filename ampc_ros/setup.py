@@ -1,0 +1,31 @@
+"""Installs ampc_ros as an ament_python package."""
+
+from setuptools import setup
+
+PACKAGE = "ampc_ros"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Adaptive model predictive control of a car's lateral motion: core, controller node and planner node.",
+    author="AMPC for ROS 2 developers",
+    author_email="maintainers@ampc-ros.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=[PACKAGE],
+    package_dir={"": "."},
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", ["launch/ampc.launch.py"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "controller = ampc_ros.controller_node:main",
+            "planner = ampc_ros.planner_node:main",
+        ]
+    },
+)

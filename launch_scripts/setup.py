@@ -1,0 +1,24 @@
+"""Installs launch_scripts as an ament_python package."""
+
+from setuptools import setup
+
+PACKAGE = "launch_scripts"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Where the parts meet: start script, set-up and tests of AMPC for ROS 2.",
+    author="AMPC for ROS 2 developers",
+    author_email="maintainers@ampc-ros.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=[PACKAGE],
+    package_dir={PACKAGE: "."},  # the modules are plain scripts at the root of this folder
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["start = launch_scripts.start:main"]},
+)

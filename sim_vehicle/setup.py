@@ -1,0 +1,25 @@
+"""Installs sim_vehicle as an ament_python package."""
+
+from setuptools import setup
+
+PACKAGE = "sim_vehicle"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="The car that really drives: dual-track vehicle simulator with Pacejka tyres, wind, actuator and driver.",
+    author="AMPC for ROS 2 developers",
+    author_email="maintainers@ampc-ros.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=[PACKAGE],
+    package_dir={"": "."},
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["simulator = sim_vehicle.simulator_node:main"]},
+)
