@@ -1,6 +1,5 @@
 """Read bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
 
-import importlib
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +8,8 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from rclpy.serialization import deserialize_message
+
+from ampc_msgs_config.message_types import message_class
 
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]
@@ -122,8 +123,7 @@ def decoder(channel: Channel, schema: Schema | None) -> Decoder | None:
     if schema is None or channel.message_encoding != "cdr":
         return None
     try:
-        package, _, name = schema.name.split("/")
-        cls = getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, ValueError):
+        cls = message_class(schema.name)
+    except ValueError:
         return None
     return lambda data: deserialize_message(data, cls)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.path import Array, Path, Progress
+from ampc_msgs_config.path_frame import path_frame
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 
 
@@ -25,6 +26,16 @@ def errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
     return np.array([progress.errors(at_distance(s, base_link_to_cg)) for s in drive.states])
 
 
+def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
+    """Give Y - Y_ref(X) (n,) [m], the paper's error; nan where the path is no graph over X."""
+    try:
+        frame = path_frame(path)
+    except ValueError:
+        return np.full(len(drive.states), np.nan)
+    places = [frame.place(at_distance(s, base_link_to_cg)) for s in drive.states]
+    return np.array([Y - frame.set_point(X) for X, Y, _ in places])
+
+
 def ticks(drive: Drive) -> Array:
     """Give the time of each tick since the first (n,) [s]."""
     stamps = np.array([state.stamp_ns for state in drive.states])
@@ -41,6 +52,7 @@ def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) ->
         period: Of the controller [s].
     """
     error = errors(drive, path, base_link_to_cg)[:, 0]
+    lateral = lateral_errors(drive, path, base_link_to_cg)
     increments = np.degrees(np.diff(drive.steering))
     gaps = np.rint(np.diff(ticks(drive)) / period).astype(int)
     solve_us = drive.solve_time * 1e6
@@ -48,6 +60,7 @@ def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) ->
         "ticks": len(drive.states),
         "missed_ticks": int(np.maximum(gaps - 1, 0).sum()),
         "mse_m2": float(np.mean(error**2)),
+        "mse_lateral_m2": float(np.mean(lateral**2)),
         "rms_error_m": float(np.sqrt(np.mean(error**2))),
         "max_error_m": float(np.abs(error).max()),
         "steering_rms_increment_deg": float(np.sqrt(np.mean(increments**2))),

@@ -6,8 +6,25 @@ from pathlib import Path as File
 
 import numpy as np
 
+from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path import Array
-from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile
+from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
+
+
+def choose_scenario(
+    name: str, path: str, speed: float | None, size: SizeParameters
+) -> Scenario:
+    """Give the drive along a user's path file, or, if `path` is empty, a scenario by name.
+
+    Args:
+        name: Shipped scenario or YAML file.
+        path: CSV file, or empty.
+        speed: Constant speed instead of the given one [m/s].
+        size: Of the car.
+    """
+    if path:
+        return from_csv(File(path), speed)
+    return load_scenario(name, size, speed)
 
 
 def from_csv(file: File, speed: float | None = None) -> Scenario:

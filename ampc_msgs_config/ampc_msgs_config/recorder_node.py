@@ -35,6 +35,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis
 
@@ -56,17 +57,17 @@ CONTRACT: dict[str, Any] = {
     ros.DIAGNOSTICS: DiagnosticArray,
     **{f"controller/debug/{name}": Float64 for name in (*Diagnosis._fields, "solve_time")},
 }
-LATCHED_TOPICS = (ros.REFERENCE_PATH,)
-EVERYTHING_LATCHED = QoSProfile(
+LATCHED_EVERYTHING = QoSProfile(
     depth=0,
     history=HistoryPolicy.KEEP_ALL,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+"""The recorder, where it may come late."""
 WHATEVER = QoSProfile(
     depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
 )
-"""For publishers that offer less than we ask for, such as the sensors of a car."""
+"""The recorder, where a publisher offers less, such as a sensor of a car."""
 
 
 class Arrival(NamedTuple):
@@ -85,34 +86,31 @@ class Recorder(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder", start_parameter_services=False)
-        output = self.text_parameter("output", "Folder of the bag; it must not hold one.")
+        output = self.parameter("output", "", "Folder of the bag; must be set, must hold no bag.")
+        further = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         self.simulated = bool(self.get_parameter("use_sim_time").value)
         self.arrivals: list[Arrival] = []
-        self.clock_ns: int | None = None
-        self.listen_until_ns = sys.maxsize
-        self.heard = time.monotonic()
-        self.lost = 0
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
-        for name, message_type in CONTRACT.items():
-            latched = name in LATCHED_TOPICS
-            topic = self.resolve_topic_name(name)
-            self.subscribe(topic, message_type, EVERYTHING_LATCHED if latched else ros.EVERYTHING)
+        self.clock_ns = self.lost = 0
+        self.awaited_ns = sys.maxsize
+        self.heard = time.monotonic()
+        for name, message_type in {**CONTRACT, **parse_topics(further)}.items():
+            qos = LATCHED_EVERYTHING if name == ros.REFERENCE_PATH else ros.EVERYTHING
+            self.listen(self.resolve_topic_name(name), message_type, qos)
         self.recording = Recording(Path(output))
         self.create_timer(
             WRITE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self.get_logger().info(f"recording to {self.recording.folder}")
 
-    def text_parameter(self, name: str, description: str) -> str:
-        """Give a parameter that must be set."""
-        value = self.declare_parameter(name, "", ParameterDescriptor(description=description)).value
-        if not value:
-            raise ValueError(f"parameter {name!r} must be set: {description}")
-        return str(value)
+    def parameter(self, name: str, default: Any, description: str) -> Any:
+        """Give a parameter."""
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        return self.declare_parameter(name, default, descriptor).value
 
-    def subscribe(self, topic: str, message_type: Any, qos: QoSProfile) -> None:
-        """Listen to a topic."""
+    def listen(self, topic: str, message_type: Any, qos: QoSProfile) -> None:
+        """Subscribe to a topic."""
         events = SubscriptionEventCallbacks(
             message_lost=self.on_lost, incompatible_qos=lambda _: self.refused.add(topic)
         )
@@ -122,10 +120,23 @@ class Recorder(Node):
         )
 
     def on_message(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+        """Keep a message, and all that wait behind it.
+
+        Note:
+            An executor takes one message a round; taking all more than doubles the rate at which
+            nothing is lost.
+        """
+        subscription = self.inputs[topic]
+        taken: Any = (data, info)
+        while taken:
+            self.keep(topic, *taken)
+            taken = subscription.handle.take_message(subscription.msg_type, True)
+
+    def keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         """Keep a message until it is written."""
         arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
         self.arrivals.append(arrival)
-        if arrival.publish_ns < self.listen_until_ns:
+        if arrival.publish_ns < self.awaited_ns:
             self.heard = time.monotonic()
 
     def on_lost(self, event: Any) -> None:
@@ -133,32 +144,32 @@ class Recorder(Node):
         self.lost += event.total_count_change
 
     def on_timer(self) -> None:
-        """Write what has waited long enough."""
-        self.write_older_than(time.time_ns() - int(HOLD * NANOSECONDS))
+        """Write what has waited long enough, and adapt to publishers that offer less."""
+        self.write_before(time.time_ns() - int(HOLD * NANOSECONDS))
         self.recording.flush()
-        while self.refused:
-            self.resubscribe(self.refused.pop())
+        for topic in self.refused:
+            self.get_logger().warning(f"{topic}: a publisher is not reliable or keeps no history")
+            subscription = self.inputs[topic]
+            self.destroy_subscription(subscription)
+            self.listen(topic, subscription.msg_type, WHATEVER)
+        self.refused.clear()
 
-    def resubscribe(self, topic: str) -> None:
-        """Ask for less where a publisher does not offer what we asked for."""
-        self.get_logger().warning(f"{topic}: a publisher is not reliable; messages may be lost")
-        refused = self.inputs[topic]
-        self.destroy_subscription(refused)
-        self.subscribe(topic, refused.msg_type, WHATEVER)
-
-    def write_older_than(self, limit_ns: int) -> None:
-        """Write the messages received before a wall time, in the order of their publishing."""
+    def write_before(self, limit_ns: int) -> None:
+        """Write what was received before a wall time [ns], in the order of publishing."""
         ready = sorted(arrival for arrival in self.arrivals if arrival.receive_ns < limit_ns)
         self.arrivals = [arrival for arrival in self.arrivals if arrival.receive_ns >= limit_ns]
         for arrival in ready:
             self.write(arrival)
 
     def write(self, arrival: Arrival) -> None:
-        """Write one message."""
-        topic, message_type = arrival.topic, self.inputs[arrival.topic].msg_type
+        """Write one message, the first of a topic together with its quality of service."""
+        topic = arrival.topic
         if topic not in self.recording.topics:
-            offers = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-            self.recording.add_topic(topic, type_name(message_type), offers)
+            publishers = self.get_publishers_info_by_topic(topic)
+            offers = [publisher.qos_profile for publisher in publishers]
+            subscription = self.inputs[topic]
+            type_name = type_name_of(subscription.msg_type)
+            self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
         self.recording.write(topic, arrival.data, self.log_time(arrival), arrival.publish_ns)
 
     def log_time(self, arrival: Arrival) -> int:
@@ -169,11 +180,11 @@ class Recorder(Node):
         stamp_ns = stamp(arrival.data) if has_stamp(message_type) else 0
         if message_type is ClockMessage:
             self.clock_ns = stamp_ns
-        return stamp_ns or self.clock_ns or 0
+        return stamp_ns or self.clock_ns
 
     def close(self) -> None:
-        """Write the rest, and close the bag."""
-        self.write_older_than(sys.maxsize)
+        """Write the rest, close the bag, and say what is in it."""
+        self.write_before(sys.maxsize)
         self.recording.close()
         bag = self.recording
         self.get_logger().info(
@@ -183,10 +194,14 @@ class Recorder(Node):
         )
 
 
-def type_name(message_type: Any) -> str:
-    """Give the name of a message class, such as `nav_msgs/msg/Odometry`."""
-    package = message_type.__module__.split(".")[0]
-    return f"{package}/msg/{message_type.__name__}"
+def parse_topics(items: list[str]) -> dict[str, Any]:
+    """Give the message class of each topic, from items such as `imu:sensor_msgs/msg/Imu`.
+
+    Raises:
+        ValueError: An item has no type, or one that is not installed.
+    """
+    pairs = [item.partition(":") for item in items if item]
+    return {name: message_class(type_name) for name, _, type_name in pairs}
 
 
 def has_stamp(message_type: Any) -> bool:
@@ -208,7 +223,7 @@ def record(recorder: Recorder, signals: list[int]) -> None:
     executor.add_node(recorder)
     while not signals:
         executor.spin_once(timeout_sec=0.1)
-    recorder.listen_until_ns = time.time_ns()
+    recorder.awaited_ns = time.time_ns()
     recorder.heard = time.monotonic()
     while time.monotonic() - recorder.heard < QUIET:
         executor.spin_once(timeout_sec=0.05)

@@ -4,38 +4,26 @@ Every viewer and `ros2 bag` read them. Chunks are closed and handed to the opera
 least every half second while messages come, so a process that is killed loses less than one.
 """
 
-import importlib
-import json
 import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import yaml
 from mcap.writer import Writer
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
+from ampc_msgs_config.message_types import define
 from ampc_msgs_config.types import NANOSECONDS
 
 FLUSH_PERIOD = 0.5
 """Longest wall time that a written message stays in this process [s]."""
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
-SEPARATOR = "\n" + "=" * 80 + "\nMSG: {}\n"
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class Definition(NamedTuple):
-    """What a reader needs to understand a message type that it does not know."""
-
-    text: str
-    """The `.msg` text, followed by those of all types inside it."""
-    type_hash: str
-    """ROS type hash, `RIHS01_...`."""
 
 
 @dataclass
@@ -149,36 +137,6 @@ def replace(file: Path, text: str) -> None:
 def to_yaml(content: Any) -> str:
     """Give the YAML text of plain lists and mappings."""
     return str(yaml.dump(content, Dumper=Dumper, sort_keys=False))
-
-
-@cache
-def define(type_name: str) -> Definition:
-    """Give the definition of an installed message type.
-
-    Args:
-        type_name: Such as `nav_msgs/msg/Odometry`.
-
-    Raises:
-        ValueError: The type is not installed.
-    """
-    try:
-        description = json.loads(share(type_name).with_suffix(".json").read_text(encoding="utf-8"))
-        hashes = {item["type_name"]: item["hash_string"] for item in description["type_hashes"]}
-        text = share(type_name).read_text(encoding="utf-8")
-        for inner in sorted(hashes.keys() - {type_name}):
-            text += SEPARATOR.format(inner.replace("/msg/", "/"))
-            text += share(inner).read_text(encoding="utf-8")
-    except (ImportError, OSError, ValueError) as error:
-        raise ValueError(f"{type_name}: this message type is not installed: {error}") from error
-    return Definition(text, hashes[type_name])
-
-
-def share(type_name: str) -> Path:
-    """Give the `.msg` file of a type, which lies beside its Python package in `<prefix>/share`."""
-    package, _, name = type_name.split("/")
-    module = Path(str(importlib.import_module(package).__file__))
-    files = [parent / "share" / package / "msg" / f"{name}.msg" for parent in module.parents]
-    return next((file for file in files if file.is_file()), files[-1])
 
 
 def qos_mapping(qos: QoSProfile) -> dict[str, Any]:

@@ -109,14 +109,21 @@ def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
     return velocity
 
 
-def load_scenario(name: str, size: SizeParameters) -> Scenario:
-    """Load a scenario by shipped name or YAML file; lanes follow from the size of the car.
+def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -> Scenario:
+    """Load a scenario by shipped name or YAML file.
+
+    Args:
+        name: Shipped name, or file.
+        size: Of the car, from which the lanes of ISO tracks follow.
+        speed: Constant speed instead of the scenario's [m/s].
 
     Raises:
         ValueError: Names the file, the key, the value and the bound.
     """
     file = config.find("scenarios", name)
     content = config.read(file)
+    if speed is not None:
+        content["speed"] = [[0.0, speed]]
     try:
         return _scenario(file.stem, content, size)
     except KeyError as error:

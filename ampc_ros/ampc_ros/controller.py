@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.path import Path
+from ampc_msgs_config.path import Path, make_path
 from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
@@ -25,6 +25,8 @@ class Controller(Protocol):
 
     steering: float
     """Angle commanded last [rad]."""
+    period: float
+    """Time from one step to the next [s]."""
 
     def step(self, state: VehicleState, path: Path) -> Command:
         """Answer a state at `base_link`."""
@@ -61,3 +63,10 @@ def make_controller(choices: Choices) -> Controller:
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
     table = load_gain_table(choices.gain_table)
     return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
+
+
+def warm_up(controller: Controller) -> None:
+    """Compile all that a step needs, so that nothing is compiled in the first tick."""
+    path = make_path([(0.0, 0.0), (50.0, 0.0)])
+    controller.step(VehicleState(0, 0.0, 0.1, 0.0, 9.0, 0.0, 0.0), path)
+    controller.reset()

@@ -16,7 +16,7 @@ from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
 from ampc_ros.prediction import predict, quadratic_cost
 from ampc_ros.qp import Qp, QpSolution, active_set, hildreth
-from ampc_ros.reference import path_frame
+from ampc_msgs_config.path_frame import path_frame
 from ampc_ros.small_matrices import apply, dot
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ class LateralMpc:
         """
         self.vehicle: Vehicle = astuple(chassis)
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
-        self.nominal_speed = settings.nominal_speed
+        self.nominal_speed, self.period = settings.nominal_speed, settings.sample_time
         self.limits = limits_of(settings)
         self.table = table
         for gains in table.nodes:

@@ -18,6 +18,7 @@ class PurePursuit:
     ) -> None:
         """Make a controller at rest; see `LateralMpc` for the arguments."""
         self.chassis, self.settings = chassis, settings
+        self.period = settings.sample_time
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
         self.reset()
 
@@ -34,7 +35,7 @@ class PurePursuit:
         rear = at_distance(centre, -self.chassis.cg_to_rear_axle)
         before, bound = self.steering, self.settings.max_angle
         self.steering = min(max(self._aim(rear), -bound), bound)
-        rate = (self.steering - before) / self.settings.sample_time
+        rate = (self.steering - before) / self.period
         return Command(
             state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre))
         )

@@ -1,0 +1,89 @@
+"""One drive: the simulated car in its scenario, and the offline loop around it."""
+
+import time
+from typing import Any, Protocol
+
+import numpy as np
+
+from ampc_msgs_config.metrics import Drive
+from ampc_msgs_config.path import Path, make_path
+from ampc_msgs_config.scenario import Scenario, SpeedPlanner, speed_at, wind_at
+from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState, as_received
+from sim_vehicle.car import Car
+from sim_vehicle.parameters import Vehicle
+
+STEP_NS = 5_000_000
+"""Default step of the integration [ns]."""
+
+
+class Steering(Protocol):
+    """What steers the car: a controller, seen from here."""
+
+    period: float
+    """Time from one step to the next [s]."""
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer a state at `base_link`."""
+
+
+class Simulation:
+    """A car on its way through a scenario. Time is counted in nanoseconds, so it never drifts."""
+
+    def __init__(
+        self, vehicle: Vehicle, scenario: Scenario, step_ns: int = STEP_NS, **options: Any
+    ) -> None:
+        """Place the car at the scenario's start, at the speed that it asks for there.
+
+        Args:
+            vehicle: The car.
+            scenario: Path, speed profile and wind.
+            step_ns: Of the integration [ns].
+            options: Friction, noise and rng of the `Car`.
+        """
+        speed = speed_at(scenario.speed, 0.0)
+        self.car = Car(vehicle, scenario.start, speed, step=step_ns / NANOSECONDS, **options)
+        self.scenario, self.step_ns = scenario, step_ns
+        self.elapsed_ns = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scenario's duration is over."""
+        return self.elapsed_ns >= round(self.scenario.duration * NANOSECONDS)
+
+    def wind(self) -> tuple[float, float]:
+        """Give the wind in `map` now [m/s]."""
+        x, y = wind_at(self.scenario.wind, np.array([self.elapsed_ns / NANOSECONDS]))[0]
+        return float(x), float(y)
+
+    def advance(self, steering: float, target_speed: float, period_ns: int) -> None:
+        """Drive on for a time that is a multiple of the step [ns], under a steering angle [rad]."""
+        steps = round(period_ns / self.step_ns)
+        at = (self.elapsed_ns + self.step_ns * np.arange(steps)) / NANOSECONDS
+        self.car.advance(steering, target_speed, wind_at(self.scenario.wind, at))
+        self.elapsed_ns += steps * self.step_ns
+
+
+def drive(simulation: Simulation, controller: Steering, start_ns: int = NANOSECONDS) -> Drive:
+    """Drive a scenario to its end, in lock-step: state, target speed, command, motion.
+
+    Args:
+        simulation: A car at its start.
+        controller: What steers it.
+        start_ns: Stamp of the first state [ns].
+
+    Returns:
+        What the controller saw and did; the same as the ROS nodes in lock-step, bit for bit.
+    """
+    path = make_path(simulation.scenario.points)
+    planner = SpeedPlanner(simulation.scenario)
+    period_ns = round(controller.period * NANOSECONDS)
+    states, steering, solve_time = [], [], []
+    while not simulation.finished:
+        state = as_received(simulation.car.measure(start_ns + simulation.elapsed_ns))
+        begin = time.perf_counter()
+        command = controller.step(state, path)
+        solve_time.append(time.perf_counter() - begin)
+        states.append(state)
+        steering.append(command.steering)
+        simulation.advance(command.steering, planner.target_speed(state), period_ns)
+    return Drive(states, np.array(steering), np.array(solve_time))
