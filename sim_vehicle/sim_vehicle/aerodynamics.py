@@ -1,29 +1,29 @@
 """Forces of the air on the car."""
 
-import math
-
 from ampc_msgs_config.compiled import compiled
 
 
 @compiled
 def air_forces(
-    yaw: float, v_x: float, v_y: float, wind: tuple[float, float], air: tuple[float, ...]
+    velocity: tuple[float, float],
+    heading: tuple[float, float],
+    wind: tuple[float, float],
+    air: tuple[float, ...],
 ) -> tuple[float, float, float]:
     """Give drag, side force [N] and yaw moment [N m] in the body frame.
 
     Each force is 1/2 rho A w |w| with its own component w of the air's velocity past the car: odd
-    in the wind, 0 in still air at rest. The air changes no wheel load.
+    in the wind, and 0 at rest in still air. The air changes no wheel load.
 
     Args:
-        yaw: Heading in `map` [rad].
-        v_x: Longitudinal velocity of the car [m/s].
-        v_y: Lateral velocity of the car [m/s].
+        velocity: Of the car in the body frame [m/s].
+        heading: Cosine and sine of the yaw.
         wind: Velocity of the air in `map` [m/s].
         air: `astuple` of AerodynamicsParameters.
     """
     rho, A_x, A_y, arm = air
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    ahead = cos * wind[0] + sin * wind[1] - v_x
-    left = cos * wind[1] - sin * wind[0] - v_y
-    side = 0.5 * rho * A_y * left * abs(left)
-    return 0.5 * rho * A_x * ahead * abs(ahead), side, arm * side
+    (v_x, v_y), (cos, sin), (w_x, w_y) = velocity, heading, wind
+    ahead = cos * w_x + sin * w_y - v_x
+    left = cos * w_y - sin * w_x - v_y
+    side_force = 0.5 * rho * A_y * left * abs(left)
+    return 0.5 * rho * A_x * ahead * abs(ahead), side_force, arm * side_force

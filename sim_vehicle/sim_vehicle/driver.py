@@ -8,18 +8,20 @@ from sim_vehicle.parameters import GRAVITY
 WALKING_SPEED = 1.0
 """Below this speed the engine's power is no limit [m/s]."""
 ROLLING_SPEED = 0.1
-"""Speed at which the rolling resistance has risen to 76 % [m/s]."""
+"""Speed at which brakes are fully, and rolling resistance 71 % there [m/s]."""
 STANDSTILL = 0.02
 """Speed below which a driver who wants to stand pulls the parking brake [m/s]."""
 SIDEWAYS = 0.5
 """Lateral speed up to which a parking brake holds [m/s]."""
+FEELING_LAG = 0.2
+"""Time constant with which the driver feels what cornering takes [s]."""
 
 
 @compiled
 def rolling_resistance(v_x: float, mass: float, powertrain: tuple[float, ...]) -> float:
     """Give the rolling resistance against the motion, smooth through 0 [N]."""
     _, _, _, _, _, f_r, _ = powertrain
-    return f_r * mass * GRAVITY * math.tanh(v_x / ROLLING_SPEED)
+    return f_r * mass * GRAVITY * v_x / math.sqrt(v_x**2 + ROLLING_SPEED**2)
 
 
 @compiled
@@ -28,19 +30,21 @@ def pedal_force(
 ) -> float:
     """Give the force that the driver asks of the wheels, brakes negative [N].
 
-    He closes the gap with the time constant tau, dv/dt = (v_target - v) / tau, and adds what the
-    resistances take. A target read tau ahead of a ramp is therefore followed without lag.
+    The gap closes with the time constant tau, dv/dt = (v_target - v) / tau, because what the
+    resistances take is added. A target read tau ahead of a ramp is therefore followed without lag. Brakes
+    only push against forward motion.
 
     Args:
         v_x: Longitudinal speed [m/s].
         target: Target speed [m/s].
-        resistance: Sum of rolling and air resistance [N].
+        resistance: What rolling, air and cornering take [N].
         mass: [kg].
         powertrain: `astuple` of PowertrainParameters.
     """
     F_drive, P, F_brake, _, _, _, tau = powertrain
     wanted = mass * (target - v_x) / tau + resistance
-    return max(-F_brake, min(wanted, F_drive, P / max(abs(v_x), WALKING_SPEED)))
+    brake = F_brake * min(max(v_x / ROLLING_SPEED, 0.0), 1.0)
+    return max(-brake, min(wanted, F_drive, P / max(abs(v_x), WALKING_SPEED)))
 
 
 @compiled

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import compiled
 from sim_vehicle.actuator import command_in_force, queue_up, turned
 from sim_vehicle.aerodynamics import air_forces
-from sim_vehicle.driver import pedal_force, rolling_resistance, stands, wheel_demands
+from sim_vehicle.driver import FEELING_LAG, pedal_force, rolling_resistance, stands, wheel_demands
 from sim_vehicle.pacejka import transient_slip, tyre_forces
 from sim_vehicle.parameters import GRAVITY, Numbers
 
@@ -21,11 +21,13 @@ Array = NDArray[np.float64]
 X, Y, YAW, V_X, V_Y, YAW_RATE = range(6)
 A_X, A_Y = 6, 7
 """Accelerations as the wheel loads know them, lagged [m/s^2]."""
-SLIP = 8
+CORNERING = 8
+"""What cornering takes from the drive, as the driver feels it [N]."""
+SLIP = 9
 """Transient slip of the first of the four wheels."""
-STEERING = 12
+STEERING = 13
 """Real road-wheel angle [rad]."""
-SIZE = 13
+SIZE = 14
 STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
 """Classical Runge-Kutta: where each stage looks, and its weight in sixths."""
 
@@ -62,8 +64,8 @@ def wheel(
     load: float,
     road: tuple[float, float],
     tyre: tuple[float, ...],
-) -> tuple[float, float, float]:
-    """Give the rate of a wheel's transient slip [1/s] and its force along body x and y [N].
+) -> tuple[float, float, float, float]:
+    """Give the slip's rate [1/s], the force along body x and y, and along the wheel [N].
 
     Args:
         s: Transient slip.
@@ -77,34 +79,42 @@ def wheel(
     (v_x, v_y), (cos, sin), (friction, step) = velocity, direction, road
     s_rate, slip = transient_slip(s, cos * v_x + sin * v_y, cos * v_y - sin * v_x, step, tyre)
     F_x, F_y = tyre_forces(slip, demand, load, friction, tyre)
-    return s_rate, cos * F_x - sin * F_y, sin * F_x + cos * F_y
+    return s_rate, cos * F_x - sin * F_y, sin * F_x + cos * F_y, F_x
 
 
 @compiled
 def wheel_forces(
     state: Array, force: float, road: tuple[float, float], vehicle: Numbers, rate: Array
-) -> tuple[float, float, float]:
-    """Give the sums of the tyre forces [N] and of their moments about z [N m].
+) -> tuple[float, float, float, float]:
+    """Sum up the tyre forces along body x, y [N], their moments [N m] and the drive forces [N].
 
-    Writes the rates of the transient slips into `rate`.
+    Args:
+        state: (SIZE,) state.
+        force: What the driver asks of all wheels together [N].
+        road: Friction coefficient, and the step of the integration [s].
+        vehicle: Numbers of the car.
+        rate: (SIZE,) receives the rates of the transient slips.
     """
-    chassis, _, body, front_tyre, rear_tyre, _, powertrain = vehicle
-    _, _, l_f, l_r, _, _ = chassis
-    loads = wheel_loads(state[A_X], state[A_Y], chassis, body)
-    front_demand, rear_demand = wheel_demands(force, powertrain)
+    _, _, l_f, l_r, _, _ = vehicle.chassis
+    track, _, _, _ = vehicle.body
+    loads = wheel_loads(state[A_X], state[A_Y], vehicle.chassis, vehicle.body)
+    front_demand, rear_demand = wheel_demands(force, vehicle.powertrain)
     steered = math.cos(state[STEERING]), math.sin(state[STEERING])
-    X_sum, Y_sum, N_sum = 0.0, 0.0, 0.0
+    axles = (
+        (l_f, steered, front_demand, vehicle.front_tyre),
+        (-l_r, (1.0, 0.0), rear_demand, vehicle.rear_tyre),
+    )
+    X_sum, Y_sum, N_sum, drive_sum = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
-        front, side = i < 2, 0.5 * body[0] * (1.0 - 2.0 * (i % 2))
-        x = l_f if front else -l_r
-        velocity = state[V_X] - side * state[YAW_RATE], state[V_Y] + x * state[YAW_RATE]
-        direction = steered if front else (1.0, 0.0)
-        demand, tyre = (front_demand, front_tyre) if front else (rear_demand, rear_tyre)
-        rate[SLIP + i], F_x, F_y = wheel(
+        x, direction, demand, tyre = axles[i // 2]
+        y = track * (0.5 - i % 2)
+        velocity = state[V_X] - y * state[YAW_RATE], state[V_Y] + x * state[YAW_RATE]
+        rate[SLIP + i], F_x, F_y, drive_force = wheel(
             state[SLIP + i], velocity, direction, demand, loads[i], road, tyre
         )
-        X_sum, Y_sum, N_sum = X_sum + F_x, Y_sum + F_y, N_sum + x * F_y - side * F_x
-    return X_sum, Y_sum, N_sum
+        X_sum, Y_sum, N_sum = X_sum + F_x, Y_sum + F_y, N_sum + x * F_y - y * F_x
+        drive_sum += drive_force
+    return X_sum, Y_sum, N_sum, drive_sum
 
 
 @compiled
@@ -118,21 +128,23 @@ def derivative(
 ) -> None:
     """Write the time derivative of the state into `rate`.
 
-    The wheel loads follow the accelerations through a first-order lag (the time that body roll and
+    The wheel loads follow the accelerations through a first-order lag (the time that roll and
     pitch take): forces then depend on the state alone, and no algebraic loop has to be solved.
     """
-    chassis, _, body, _, _, air, powertrain = vehicle
-    m, I_z = chassis[0], chassis[1]
+    m, I_z, _, _, _, _ = vehicle.chassis
+    _, _, _, load_lag = vehicle.body
     yaw, v_x, v_y, r = state[YAW], state[V_X], state[V_Y], state[YAW_RATE]
-    X_air, Y_air, N_air = air_forces(yaw, v_x, v_y, wind, air)
-    rolling = rolling_resistance(v_x, m, powertrain)
-    force = pedal_force(v_x, target_speed, rolling - X_air, m, powertrain)
-    X_tyre, Y_tyre, N_tyre = wheel_forces(state, force, road, vehicle, rate)
-    a_x, a_y = (X_tyre + X_air - rolling) / m, (Y_tyre + Y_air) / m
     cos, sin = math.cos(yaw), math.sin(yaw)
+    X_air, Y_air, N_air = air_forces((v_x, v_y), (cos, sin), wind, vehicle.air)
+    rolling = rolling_resistance(v_x, m, vehicle.powertrain)
+    resistance = rolling - X_air + state[CORNERING]
+    force = pedal_force(v_x, target_speed, resistance, m, vehicle.powertrain)
+    X_tyre, Y_tyre, N_tyre, drive_force = wheel_forces(state, force, road, vehicle, rate)
+    a_x, a_y = (X_tyre + X_air - rolling) / m, (Y_tyre + Y_air) / m
     rate[X], rate[Y], rate[YAW] = cos * v_x - sin * v_y, sin * v_x + cos * v_y, r
     rate[V_X], rate[V_Y], rate[YAW_RATE] = a_x + r * v_y, a_y - r * v_x, (N_tyre + N_air) / I_z
-    rate[A_X], rate[A_Y] = (a_x - state[A_X]) / body[3], (a_y - state[A_Y]) / body[3]
+    rate[A_X], rate[A_Y] = (a_x - state[A_X]) / load_lag, (a_y - state[A_Y]) / load_lag
+    rate[CORNERING] = (drive_force - X_tyre - m * r * v_y - state[CORNERING]) / FEELING_LAG
     rate[STEERING] = 0.0
     if stands(v_x, v_y, target_speed):
         rate[V_X] = 0.0
@@ -188,7 +200,7 @@ def drive(
     state, work, road = state.copy(), np.empty((3, SIZE)), (friction, step)
     for i in range(len(wind)):
         delayed = command_in_force(waiting, command, i)
-        state[STEERING] = turned(state[STEERING], delayed, step, vehicle[1])
+        state[STEERING] = turned(state[STEERING], delayed, step, vehicle.steering)
         rk4_step(state, target_speed, (wind[i, 0], wind[i, 1]), road, vehicle, work)
         if stands(state[V_X], state[V_Y], target_speed):
             state[V_X] = 0.0
