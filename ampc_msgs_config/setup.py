@@ -7,7 +7,7 @@ PACKAGE = "ampc_msgs_config"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="What the car and the controller talk about: types, parameters, paths, scenarios, topics and recordings of AMPC for ROS 2.",
+    description="Types, paths, scenarios, topics and recordings that car and controller share.",
     author="AMPC for ROS 2 developers",
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",

@@ -7,7 +7,7 @@ PACKAGE = "ampc_ros"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Adaptive model predictive control of a car's lateral motion: core, controller node and planner node.",
+    description="Adaptive model predictive control of a car's lateral motion.",
     author="AMPC for ROS 2 developers",
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",

@@ -1,13 +1,15 @@
 """Set-up of the workspace: ``.venv``, the pinned requirements and the colcon build.
 
-``python3 launch_scripts/bootstrap.py [--dev]`` may be run at any time: what is already there is left alone.
-Where ROS 2 Jazzy is sourced its own rclpy, numpy and colcon are used; elsewhere the ROS wheels are installed.
+``python3 launch_scripts/bootstrap.py [--dev]`` may be run at any time: it does what is missing.
+Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere the ROS wheels are.
 """
 
 import sys
 
-if sys.version_info < (3, 10):  # noqa: UP036 - whoever has an older Python shall read why
-    sys.exit("bootstrap: Python 3.10 or newer is needed, this is %s" % sys.version.split()[0])
+if sys.version_info < (3, 10):  # noqa: UP036 - who has an older Python shall read a sentence
+    sys.exit(
+        "bootstrap: Python 3.10 or newer is needed (make PYTHON=python3.12), this is an older one"
+    )
 
 import argparse
 import hashlib
@@ -15,26 +17,26 @@ import importlib.util
 import os
 import platform
 import re
+import shutil
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
-STAMP = VENV / "bootstrap-stamp"
 LOG = ROOT / "log" / "bootstrap.log"
-SOURCES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", ".")
-MACHINES = ("x86_64", "AMD64")
+PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
+SOURCES = (ROOT, *(ROOT / package for package in PACKAGES[:-1]))
 
 NO_NETWORK = re.compile(
-    r"Failed to establish a new connection|Temporary failure in name resolution|Name or service not known"
-    r"|Network is unreachable|Connection refused|timed out|ProxyError|SSLError|ConnectionError",
+    r"Failed to establish a new connection|Temporary failure in name resolution|ProxyError"
+    r"|Name or service not known|Network is unreachable|Connection refused|timed out|SSLError"
 )
 NO_COMPILER = re.compile(
-    r"command '\S+' failed: No such file|unable to execute '\S+'|No such file or directory: '(?:gcc|cc|c\+\+|g\+\+)'"
-    r"|Microsoft Visual C\+\+|Unknown compiler",
+    r"command '\S+' failed: No such file|unable to execute '\S+'|Unknown compiler"
+    r"|No such file or directory: '(?:gcc|cc|g\+\+|c\+\+)'"
 )
 NO_WHEEL = re.compile(r"No matching distribution found for ([\w.\[\]-]+)")
 
@@ -43,15 +45,18 @@ class SetupError(Exception):
     """What stops the set-up, in one sentence."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Sets the workspace up and returns the exit code."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Sets the workspace up and gives the exit code."""
     parser = argparse.ArgumentParser(description="Set up .venv and build the colcon workspace.")
     parser.add_argument("--dev", action="store_true", help="also install what tests and lint need")
-    options = parser.parse_args(argv)
+    dev = parser.parse_args(arguments).dev
     try:
-        bootstrap(dev=options.dev)
+        bootstrap(dev=dev)
     except SetupError as error:
         print(f"bootstrap: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"bootstrap: {error.strerror}: {error.filename}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("\nbootstrap: interrupted; run it again to go on", file=sys.stderr)
@@ -60,161 +65,168 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def bootstrap(*, dev: bool) -> None:
-    """Creates ``.venv``, installs into it and builds the workspace, each where needed."""
-    with_ros = uses_installed_ros()
+    """Makes ``.venv``, installs into it and builds the workspace, each only where needed."""
+    with_ros = uses_installed_ros(os.environ.get("ROS_DISTRO", ""))
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("", encoding="utf-8")
-    wanted = f"{platform.python_version()} ros={with_ros} {ROOT}"
-    stamp = STAMP.read_text(encoding="utf-8").splitlines() if STAMP.exists() else []
-    if stamp[:1] != [wanted]:
+    home = f"{ROOT}, Python {platform.python_version()}, installed ROS: {with_ros}"
+    if done(VENV) != {home}:
         create_venv(with_ros)
-        stamp = [wanted]
-    files = requirement_files(with_ros=with_ros, dev=dev)
-    if missing := [file for file in files if digest(file) not in stamp]:
-        install(files)
-        stamp += [digest(file) for file in missing]
-        STAMP.write_text("\n".join(stamp) + "\n", encoding="utf-8")
-    build(with_ros)
+        mark(VENV, {home})
+    requirements = requirement_files(with_ros=with_ros, dev=dev)
+    wanted = {f"{file.name} {digest([file, ROOT / 'constraints.txt'])}" for file in requirements}
+    installed = done(VENV / "lib")
+    if not wanted <= installed:
+        install(requirements)
+        mark(VENV / "lib", installed | wanted)
+    sources = digest(file for package in PACKAGES for file in source_files(ROOT / package))
+    if done(ROOT / "install") != {sources}:
+        build()
+        mark(ROOT / "install", {sources})
 
 
-def uses_installed_ros() -> bool:
-    """Tells whether ROS 2 Jazzy is sourced, and raises where neither it nor its wheels can be used."""
-    distribution = os.environ.get("ROS_DISTRO", "")
-    if distribution == "jazzy":
-        if importlib.util.find_spec("rclpy") is None:
-            raise SetupError(
-                f"ROS 2 Jazzy is sourced, but Python {platform.python_version()} at {sys.executable} finds no "
-                "rclpy: use the system's Python (make PYTHON=/usr/bin/python3)"
-            )
-        return True
-    if distribution:
+def uses_installed_ros(distribution: str) -> bool:
+    """Tells whether ROS 2 Jazzy is sourced; raises where neither it nor the wheels can serve."""
+    if not distribution:
+        require_wheels(platform.system(), platform.machine())
+        return False
+    if distribution != "jazzy":
+        raise SetupError(f"ROS 2 {distribution} is sourced: use a shell without it, or with Jazzy")
+    if subprocess.run([sys.executable, "-c", "import rclpy"], capture_output=True).returncode:
         raise SetupError(
-            f"ROS 2 {distribution} is sourced, but Jazzy is needed: use a shell without it"
+            f"ROS 2 Jazzy is sourced, but {sys.executable} cannot import its rclpy: "
+            "use the Python that ROS was made for (make PYTHON=/usr/bin/python3)"
         )
-    if sys.platform != "linux" or platform.machine() not in MACHINES:
-        raise SetupError(no_ros_wheels(f"{platform.system()} on {platform.machine()}"))
-    return False
+    if importlib.util.find_spec("colcon_core") is None:
+        raise SetupError("colcon is missing: apt install python3-colcon-common-extensions")
+    return True
 
 
-def no_ros_wheels(machine: str) -> str:
-    """The sentence for machines without ROS wheels."""
-    return f"there are ROS 2 wheels for Linux on x86-64 only, this is {machine}: install ROS 2 Jazzy and source it"
+def require_wheels(system: str, machine: str) -> None:
+    """Raises where no wheels of ROS 2 exist."""
+    if (system, machine) != ("Linux", "x86_64"):
+        raise SetupError(
+            f"ROS 2 comes as wheels for Linux on x86-64 only and this is {system} on {machine}: "
+            "install ROS 2 Jazzy, source it and run this again"
+        )
 
 
 def requirement_files(*, with_ros: bool, dev: bool) -> list[Path]:
-    """Requirement files of this kind of machine."""
-    names = {
+    """The requirement files for this kind of machine."""
+    needed = {
         "requirements.txt": True,
         "requirements-ros.txt": not with_ros,
         "requirements-dev.txt": dev,
     }
-    return [ROOT / name for name, needed in names.items() if needed]
+    return [ROOT / name for name in needed if needed[name]]
 
 
-def digest(file: Path) -> str:
-    """Name and hash of a requirement file: one line of the stamp."""
-    content = file.read_bytes() + (ROOT / "constraints.txt").read_bytes()
-    return f"{file.name} {hashlib.sha256(content).hexdigest()}"
+def source_files(package: Path) -> list[Path]:
+    """All files of a package, without Python's and numba's caches."""
+    files = sorted(file for file in package.rglob("*") if file.is_file())
+    return [file for file in files if "__pycache__" not in file.parts]
+
+
+def digest(files: Iterable[Path]) -> str:
+    """One hash over names and contents of files."""
+    total = hashlib.sha256()
+    for file in files:
+        total.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes() + b"\0")
+    return total.hexdigest()
+
+
+def done(folder: Path) -> set[str]:
+    """What was marked as done in a folder."""
+    stamp = folder / "bootstrap-stamp"
+    return set(stamp.read_text(encoding="utf-8").splitlines()) if stamp.exists() else set()
+
+
+def mark(folder: Path, steps: set[str]) -> None:
+    """Marks steps as done; the mark goes when the folder goes."""
+    text = "\n".join(sorted(steps)) + "\n"
+    (folder / "bootstrap-stamp").write_text(text, encoding="utf-8")
 
 
 def create_venv(with_ros: bool) -> None:
-    """Creates an empty ``.venv`` that sees the workspace's sources, as an editable installation would."""
-    if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
-        raise SetupError(
-            "this Python has no venv module: install it (Debian and Ubuntu: apt install python3-venv)"
-        )
+    """Makes an empty ``.venv`` that sees the sources as an editable installation would."""
+    if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
+        raise SetupError("Python's venv module is missing: apt install python3-venv")
+    for built in ("build", "install"):  # they name the interpreter of the .venv before
+        shutil.rmtree(ROOT / built, ignore_errors=True)
     command = [sys.executable, "-m", "venv", "--clear", str(VENV)]
     command += ["--system-site-packages"] if with_ros else []
-    title = f"creating .venv with Python {platform.python_version()}"
-    output, failed = run(title, command)
+    output, failed = run(f"making .venv with Python {platform.python_version()}", command)
     if failed:
-        raise SetupError(f"no .venv could be made: {last_line(output)}; the log is {shown(LOG)}")
+        raise SetupError(f"no .venv could be made: {last_line(output)}")
     site_packages = next(VENV.glob("lib/python3*/site-packages"))
-    paths = [str((ROOT / source).resolve()) for source in SOURCES]
-    (site_packages / "ampc_workspace.pth").write_text("\n".join(paths) + "\n", encoding="utf-8")
+    lines = "".join(f"{source}\n" for source in SOURCES)
+    (site_packages / "ampc_workspace.pth").write_text(lines, encoding="utf-8")
 
 
-def install(files: Sequence[Path]) -> None:
-    """Installs requirement files with pip: wheels only, nothing is compiled."""
-    command = [
-        str(PYTHON),
-        "-m",
-        "pip",
-        "install",
-        "--disable-pip-version-check",
-        "--progress-bar=off",
-    ]
-    command += [
-        "--only-binary=:all:",
-        "--no-binary=empy",
-    ]  # EmPy, pure Python, comes as source only
-    for file in files:
-        command += ["-r", file.name]
-    output, failed = run("installing the requirements, about half a minute", command)
+def install(requirements: Sequence[Path]) -> None:
+    """Installs requirement files with pip: wheels only, so that nothing has to be compiled."""
+    command = [str(PYTHON), "-m", "pip", "install", "--retries=2"]
+    command += ["--disable-pip-version-check"]
+    command += ["--only-binary=:all:", "--no-binary=empy"]  # EmPy is pure Python without a wheel
+    command += [argument for file in requirements for argument in ("-r", file.name)]
+    output, failed = run("installing the requirements (about a minute)", command)
     if failed:
-        raise SetupError(f"{explain_pip(output)}; the log is {shown(LOG)}")
+        raise SetupError(explain_pip(output, platform.python_version(), platform.machine()))
 
 
-def explain_pip(output: str) -> str:
-    """Turns what pip printed before it gave up into one sentence.
+def explain_pip(output: str, version: str, machine: str) -> str:
+    """Turns what pip wrote before it gave up into one sentence: the cause and the way out.
 
     Args:
         output: everything pip wrote.
-
-    Returns:
-        The cause and the way out, without a full stop.
+        version: of Python.
+        machine: as `platform.machine` names it.
     """
     if NO_NETWORK.search(output):
-        return "the package index cannot be reached: check network and proxy, then run this again"
+        return "the package index cannot be reached: check network and proxy and run this again"
     if NO_COMPILER.search(output):
-        return "pip wants to compile a package and finds no C compiler: apt install build-essential"
+        return "pip has to compile a package, without a compiler: apt install build-essential"
     if "No space left on device" in output:
-        return "the disk is full: the set-up needs about 1 GB"
+        return "the disk is full: .venv needs about 1 GB"
     if wheel := NO_WHEEL.search(output):
         return (
-            f"there is no wheel of {wheel[1]} for Python {platform.python_version()} on {platform.machine()}: "
+            f"there is no wheel of {wheel[1]} for Python {version} on {machine}: "
             "use Python 3.10 to 3.13 on x86-64 (make PYTHON=python3.12)"
         )
-    return f"pip failed: {last_line(output)}"
+    return f"pip failed: {last_line(output)} ({LOG.relative_to(ROOT)})"
 
 
-def build(with_ros: bool) -> None:
+def build() -> None:
     """Builds the colcon workspace with the Python of ``.venv``."""
-    if with_ros and importlib.util.find_spec("colcon_core") is None:
-        raise SetupError("colcon is missing: apt install python3-colcon-common-extensions")
     output, failed = run("building the workspace", [str(PYTHON), "-m", "colcon", "build"])
     if failed:
-        raise SetupError(f"colcon build failed: {last_line(output)}; the log is {shown(LOG)}")
+        cause = re.search(r"^\w*Error: .*", output, re.MULTILINE)
+        line = cause[0] if cause else last_line(output)
+        raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(ROOT)})")
 
 
 def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
-    """Runs a command from the root, its output into the log, and shows how long it takes.
+    """Runs a command in the root, shows how long it takes, and logs what it writes.
 
     Returns:
-        The command's output and whether it failed.
+        What the command wrote, and whether it failed.
     """
     start = time.monotonic()
     print(f"bootstrap: {title} ...", end="", flush=True)
     with LOG.open("a+", encoding="utf-8", errors="replace") as log:
         begin = log.seek(0, os.SEEK_END)
         code = subprocess.call(
-            command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL
+            command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
         )
-        print(f" {time.monotonic() - start:.1f} s", flush=True)
+        print(f" {time.monotonic() - start:.0f} s", flush=True)
         log.seek(begin)
         return log.read(), code != 0
 
 
 def last_line(output: str) -> str:
     """The last line that says something."""
-    return next(
-        (line.strip() for line in reversed(output.splitlines()) if line.strip()), "no output"
-    )
-
-
-def shown(path: Path) -> str:
-    """A path relative to the root."""
-    return str(path.relative_to(ROOT))
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    return lines[-1] if lines else "without a word"
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ PACKAGE = "sim_vehicle"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The car that really drives: dual-track vehicle simulator with Pacejka tyres, wind, actuator and driver.",
+    description="Dual-track car with Pacejka tyres, wind, actuator and driver.",
     author="AMPC for ROS 2 developers",
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",

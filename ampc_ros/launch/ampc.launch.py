@@ -1,43 +1,51 @@
-"""Starts simulator, planner and controller, and the recorder on request.
+"""Starts simulator, planner and controller, and a recording on request.
 
-``ros2 launch ampc_ros ampc.launch.py scenario:=sc1 vehicle:=ordinary record:=true`` drives a
-scenario. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out.
+``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 record:=runs/sc2`` drives a scenario in
+lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out.
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = {
+    "vehicle": ("paper", "name of a shipped vehicle, or a YAML file"),
     "scenario": ("sc1", "name of a shipped scenario, or a YAML file"),
     "path": ("", "CSV file of a path to drive instead of the scenario's; empty for none"),
-    "vehicle": ("paper", "name of a shipped vehicle, or a YAML file"),
+    "speed": ("-1.0", "constant speed instead of the given one [m/s]; -1 for as given"),
     "controller": ("paper", "paper, classic or pure_pursuit"),
     "gain_table": ("table3", "name of a shipped gain table, or a YAML file"),
     "lock_step": ("true", "simulated time advances only when all commands have arrived"),
     "namespace": ("", "namespace of the nodes and of their topics"),
     "simulate": ("true", "start the simulator; false where a real car drives"),
-    "record": ("false", "record the run"),
+    "record": ("", "new folder for a recording; empty for none"),
 }
-LOCK_STEP = ParameterValue(LaunchConfiguration("lock_step"), value_type=bool)
+TYPES = {"speed": float, "lock_step": bool}
+DRIVE = ("vehicle", "scenario", "path", "speed", "lock_step")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declares the arguments and starts the nodes; when one ends, all end."""
+    """Declares the arguments and starts the nodes; when one node ends, all end."""
     arguments = [
         DeclareLaunchArgument(name, default_value=value, description=description)
         for name, (value, description) in ARGUMENTS.items()
     ]
+    follows_clock = {"use_sim_time": argument("lock_step")}
+    simulate = IfCondition(LaunchConfiguration("simulate"))
+    record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("record"), ""))
+    control = ("vehicle", "controller", "gain_table", "lock_step")
     nodes = [
-        node("sim_vehicle", "simulator", "scenario", only_if="simulate"),
-        node("ampc_ros", "planner", "scenario", "path", use_sim_time=LOCK_STEP),
-        node("ampc_ros", "controller", "controller", "gain_table", use_sim_time=LOCK_STEP),
-        node("ampc_msgs_config", "recorder", use_sim_time=LOCK_STEP, only_if="record"),
+        node("sim_vehicle", "simulator", [arguments_of(DRIVE)], simulate),
+        node("ampc_ros", "planner", [arguments_of(DRIVE), follows_clock]),
+        node("ampc_ros", "controller", [arguments_of(control), follows_clock]),
+        node(
+            "ampc_msgs_config", "recorder", [{"output": argument("record")}, follows_clock], record
+        ),
     ]
     together = [
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
@@ -46,23 +54,28 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, *together, *nodes])
 
 
+def argument(name: str) -> ParameterValue:
+    """A launch argument as a node's parameter."""
+    return ParameterValue(LaunchConfiguration(name), value_type=TYPES.get(name, str))
+
+
+def arguments_of(names: tuple[str, ...]) -> dict[str, ParameterValue]:
+    """Launch arguments as parameters of the same names."""
+    return {name: argument(name) for name in names}
+
+
 def node(
     package: str,
     executable: str,
-    *names: str,
-    use_sim_time: ParameterValue | bool = False,
-    only_if: str | None = None,
+    parameters: list[dict[str, ParameterValue]],
+    condition: IfCondition | UnlessCondition | None = None,
 ) -> Node:
-    """A node whose parameters ``names`` come from the launch arguments of the same names."""
-    parameters = {
-        name: ParameterValue(LaunchConfiguration(name), value_type=str)
-        for name in ("vehicle", *names)
-    }
+    """A node in the chosen namespace, its log on the screen."""
     return Node(
         package=package,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[parameters, {"lock_step": LOCK_STEP, "use_sim_time": use_sim_time}],
-        condition=IfCondition(LaunchConfiguration(only_if)) if only_if else None,
+        parameters=parameters,
+        condition=condition,
         output="screen",
     )
