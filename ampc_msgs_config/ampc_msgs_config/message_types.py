@@ -31,7 +31,7 @@ def message_class(type_name: str) -> Any:
         raise ValueError(f"{type_name}: this message type is not installed") from error
 
 
-def type_name_of(message: type) -> str:
+def type_name_of(message: Any) -> str:
     """Give the name of a message class, such as `nav_msgs/msg/Odometry`."""
     return f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
 

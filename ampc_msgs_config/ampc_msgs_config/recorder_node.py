@@ -25,6 +25,7 @@ from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -85,8 +86,15 @@ class Recorder(Node):
     """Collects serialised messages, and writes them in the order of their publishing."""
 
     def __init__(self) -> None:
+        """Subscribe to everything, then open the bag.
+
+        Raises:
+            ValueError: A parameter is wrong, or the folder holds a bag already.
+        """
         super().__init__("recorder", start_parameter_services=False)
-        output = self.parameter("output", "", "Folder of the bag; must be set, must hold no bag.")
+        output = self.parameter("output", "", "Folder of the bag, which must hold none yet.")
+        if not output:
+            raise ValueError("parameter 'output' must name the folder of the bag")
         further = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         self.simulated = bool(self.get_parameter("use_sim_time").value)
         self.arrivals: list[Arrival] = []
@@ -238,7 +246,7 @@ def main() -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         record(Recorder(), signals)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ParameterException) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 1
     finally:

@@ -40,17 +40,19 @@ class Topic:
 class Recording:
     """A bag that is being written; a context manager.
 
-    Args:
-        folder: Folder of the bag; it may exist, but must not hold a bag.
-
-    Raises:
-        ValueError: The folder holds a bag already, which is left untouched.
-
     Note:
         `write` closes a chunk every half second; whoever may fall silent calls `flush` besides.
     """
 
     def __init__(self, folder: Path) -> None:
+        """Open a new bag.
+
+        Args:
+            folder: Folder of the bag; it may exist, but must not hold a bag.
+
+        Raises:
+            ValueError: The folder holds a bag already, which is left untouched.
+        """
         self.folder = folder.resolve()
         self.file = self.folder / f"{self.folder.name}_0.mcap"
         self.topics: dict[str, Topic] = {}
@@ -63,9 +65,11 @@ class Recording:
         self.flush()
 
     def __enter__(self) -> "Recording":
+        """Give the open bag."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the bag."""
         self.close()
 
     def add_topic(self, name: str, type_name: str, offers: Sequence[QoSProfile]) -> None:
