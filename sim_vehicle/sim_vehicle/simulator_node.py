@@ -6,20 +6,23 @@ Real-time mode runs free on the node's clock. In lock-step the node owns the tim
 
 import sys
 import time
+from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import STEP_NS, Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
@@ -43,9 +46,9 @@ class SimulatorNode(Node):
         self.time_out = ros.declare(
             self, "time_out", 10.0, "wait for an answer in lock-step [s]", (0.1, 3600.0)
         )
-        self.simulation = Simulation(vehicle, scenario)
-        self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles
-        self.simulation = Simulation(vehicle, scenario)
+        Simulation(vehicle, scenario).advance(0.0, 0.0, STEP_NS)  # compiles
+        self.simulation = Simulation(vehicle, scenario, **self._options())
+        self.state: list[tuple[Publisher, Any]] = []
         self.period_ns = PERIOD_NS if self.lock_step else REAL_TIME_PERIOD_NS
         self.start_ns = NANOSECONDS
         self.answers: dict[str, ros.Stamped] = {}
@@ -65,6 +68,18 @@ class SimulatorNode(Node):
         self.timer = self.create_timer(0.02, self.wait_for_peers, clock=self.wall)
         self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
         self.get_logger().info(f"{scenario.name}: waiting for steering_command and target_speed")
+
+    def _options(self) -> dict[str, Any]:
+        """Friction and measurement noise, as keyword arguments of the `Car`."""
+        friction = ros.declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
+        name = ros.declare(self, "noise", "", "shipped noise or YAML file; empty: none")
+        seed = ros.declare(self, "seed", 0, "of the noise")
+        noise = load(MeasurementNoise, find("noise", name)) if name else None
+        return {
+            "friction": None if friction < 0 else friction,
+            "noise": noise,
+            "rng": np.random.default_rng(seed),
+        }
 
     @property
     def stamp_ns(self) -> int:
@@ -128,13 +143,21 @@ class SimulatorNode(Node):
         self.publish_state()
 
     def publish_state(self) -> None:
-        """Publish time, wind, steering angle and state."""
-        stamp_ns = self.stamp_ns
+        """Measure, and publish time, wind, steering angle and state."""
+        stamp_ns, car = self.stamp_ns, self.simulation.car
+        self.state = [
+            (self.wind, ros.wind_message(stamp_ns, self.simulation.wind())),
+            (self.steering, ros.joint_message(stamp_ns, car.steering, 0.0)),
+            (self.odom, ros.odometry_message(car.measure(stamp_ns))),
+        ]
         if self.lock_step:
-            self.clock.publish(ClockMessage(clock=ros.time_message(stamp_ns)))
-        self.wind.publish(ros.wind_message(stamp_ns, self.simulation.wind()))
-        self.steering.publish(ros.joint_message(stamp_ns, self.simulation.car.steering, 0.0))
-        self.odom.publish(ros.odometry_message(self.simulation.car.measure(stamp_ns)))
+            self.state.insert(0, (self.clock, ClockMessage(clock=ros.time_message(stamp_ns))))
+        self.send()
+
+    def send(self) -> None:
+        """Publish what was measured last."""
+        for publisher, message in self.state:
+            publisher.publish(message)
 
     def on_unanswered(self) -> None:
         """Publish an unanswered state again; give up after the time-out."""
@@ -142,9 +165,11 @@ class SimulatorNode(Node):
             return
         names = {"steering": ros.STEERING_COMMAND, "speed": ros.TARGET_SPEED}
         missing = [topic for name, topic in names.items() if name not in self.answers]
-        self._check_time_out(f"no {' and no '.join(missing)} answered the state at "
-                             f"{self.simulation.elapsed_ns / NANOSECONDS:.1f} s")
-        self.publish_state()
+        self._check_time_out(
+            f"no {' and no '.join(missing)} answered the state at "
+            f"{self.simulation.elapsed_ns / NANOSECONDS:.1f} s"
+        )
+        self.send()
 
     def _check_time_out(self, what: str) -> None:
         if time.monotonic() - self.waiting_since > self.time_out:

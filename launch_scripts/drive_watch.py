@@ -1,0 +1,40 @@
+"""Follows a running drive from outside, for a progress bar."""
+
+from typing import Any
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.signals import SignalHandlerOptions
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.types import NANOSECONDS
+
+
+class DriveWatch:
+    """Listens to `odom`; a context manager."""
+
+    def __enter__(self) -> "DriveWatch":
+        """Join the graph; signals stay with the caller."""
+        self.elapsed = self.speed = 0.0
+        self.start_ns: int | None = None
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("start")
+        self.node.create_subscription(Odometry, ros.ODOM, self.on_odometry, ros.NEWEST)
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        """Leave the graph."""
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def spin(self, wall_time: float) -> None:
+        """Take in what arrives, for at most `wall_time` [s]."""
+        rclpy.spin_once(self.node, timeout_sec=wall_time)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Note time since the start [s] and speed [m/s]."""
+        stamp_ns = ros.nanoseconds(message.header.stamp)
+        if self.start_ns is None:
+            self.start_ns = stamp_ns
+        self.elapsed = (stamp_ns - self.start_ns) / NANOSECONDS
+        self.speed = message.twist.twist.linear.x
