@@ -8,9 +8,9 @@ from sim_vehicle.parameters import GRAVITY
 WALKING_SPEED = 1.0
 """Below this speed the engine's power is no limit [m/s]."""
 ROLLING_SPEED = 0.1
-"""Speed at which brakes are fully, and rolling resistance 71 % there [m/s]."""
-STANDSTILL = 0.02
-"""Speed below which a driver who wants to stand pulls the parking brake [m/s]."""
+"""Speed at which the rolling resistance has risen to 71 % [m/s]."""
+STANDSTILL = 0.05
+"""Speed below which brakes fade out, and who wants to stand pulls the parking brake [m/s]."""
 SIDEWAYS = 0.5
 """Lateral speed up to which a parking brake holds [m/s]."""
 FEELING_LAG = 0.2
@@ -25,14 +25,13 @@ def rolling_resistance(v_x: float, mass: float, powertrain: tuple[float, ...]) -
 
 
 @compiled
-def pedal_force(
+def pedals(
     v_x: float, target: float, resistance: float, mass: float, powertrain: tuple[float, ...]
-) -> float:
-    """Give the force that the driver asks of the wheels, brakes negative [N].
+) -> tuple[float, float]:
+    """Give the forces that the driver asks of engine and brakes, neither negative [N].
 
     The gap closes with the time constant tau, dv/dt = (v_target - v) / tau, because what the
-    resistances take is added. A target read tau ahead of a ramp is therefore followed without lag. Brakes
-    only push against forward motion.
+    resistances take is added. A target read tau ahead of a ramp is therefore followed without lag.
 
     Args:
         v_x: Longitudinal speed [m/s].
@@ -43,16 +42,15 @@ def pedal_force(
     """
     F_drive, P, F_brake, _, _, _, tau = powertrain
     wanted = mass * (target - v_x) / tau + resistance
-    brake = F_brake * min(max(v_x / ROLLING_SPEED, 0.0), 1.0)
-    return max(-brake, min(wanted, F_drive, P / max(abs(v_x), WALKING_SPEED)))
+    against_motion = -wanted if v_x > 0.0 else wanted
+    engine = min(max(wanted, 0.0), F_drive, P / max(abs(v_x), WALKING_SPEED))
+    return engine, min(max(against_motion, 0.0), F_brake)
 
 
 @compiled
-def wheel_demands(force: float, powertrain: tuple[float, ...]) -> tuple[float, float]:
-    """Split a force into those of one front wheel and one rear wheel [N]."""
-    _, _, _, front_drive, front_brake, _, _ = powertrain
-    front = front_drive if force > 0.0 else front_brake
-    return 0.5 * front * force, 0.5 * (1.0 - front) * force
+def longitudinal_demand(rolling: float, engine: float, brake: float) -> float:
+    """Give the force that engine and brake ask of a wheel that rolls with this velocity [N]."""
+    return engine - brake * min(max(rolling / STANDSTILL, -1.0), 1.0)
 
 
 @compiled

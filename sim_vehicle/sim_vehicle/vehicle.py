@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import compiled
 from sim_vehicle.actuator import command_in_force, queue_up, turned
 from sim_vehicle.aerodynamics import air_forces
-from sim_vehicle.driver import FEELING_LAG, pedal_force, rolling_resistance, stands, wheel_demands
+from sim_vehicle.driver import FEELING_LAG, longitudinal_demand, pedals, rolling_resistance, stands
 from sim_vehicle.pacejka import transient_slip, tyre_forces
 from sim_vehicle.parameters import GRAVITY, Numbers
 
@@ -60,7 +60,7 @@ def wheel(
     s: float,
     velocity: tuple[float, float],
     direction: tuple[float, float],
-    demand: float,
+    pedal_forces: tuple[float, float],
     load: float,
     road: tuple[float, float],
     tyre: tuple[float, ...],
@@ -71,50 +71,55 @@ def wheel(
         s: Transient slip.
         velocity: Of the wheel centre in the body frame [m/s].
         direction: Cosine and sine of the wheel's angle.
-        demand: Longitudinal force asked for [N].
+        pedal_forces: Of engine and brake on this wheel [N].
         load: Wheel load [N].
         road: Friction coefficient, and the step of the integration [s].
         tyre: Numbers of the axle's tyre.
     """
     (v_x, v_y), (cos, sin), (friction, step) = velocity, direction, road
-    s_rate, slip = transient_slip(s, cos * v_x + sin * v_y, cos * v_y - sin * v_x, step, tyre)
+    rolling, sliding = cos * v_x + sin * v_y, cos * v_y - sin * v_x
+    demand = longitudinal_demand(rolling, pedal_forces[0], pedal_forces[1])
+    s_rate, slip = transient_slip(s, rolling, sliding, step, tyre)
     F_x, F_y = tyre_forces(slip, demand, load, friction, tyre)
     return s_rate, cos * F_x - sin * F_y, sin * F_x + cos * F_y, F_x
 
 
 @compiled
 def wheel_forces(
-    state: Array, force: float, road: tuple[float, float], vehicle: Numbers, rate: Array
+    state: Array,
+    pedal_forces: tuple[float, float],
+    road: tuple[float, float],
+    vehicle: Numbers,
+    rate: Array,
 ) -> tuple[float, float, float, float]:
-    """Sum up the tyre forces along body x, y [N], their moments [N m] and the drive forces [N].
+    """Sum up the tyre forces along body x, y [N], their moments [N m], and along the wheels [N].
 
     Args:
         state: (SIZE,) state.
-        force: What the driver asks of all wheels together [N].
+        pedal_forces: What the driver asks of engine and brakes [N].
         road: Friction coefficient, and the step of the integration [s].
         vehicle: Numbers of the car.
         rate: (SIZE,) receives the rates of the transient slips.
     """
-    _, _, l_f, l_r, _, _ = vehicle.chassis
-    track, _, _, _ = vehicle.body
+    (_, _, l_f, l_r, _, _), (track, _, _, _) = vehicle.chassis, vehicle.body
     loads = wheel_loads(state[A_X], state[A_Y], vehicle.chassis, vehicle.body)
-    front_demand, rear_demand = wheel_demands(force, vehicle.powertrain)
+    engine, brake = 0.5 * pedal_forces[0], 0.5 * pedal_forces[1]  # per side
+    _, _, _, f_drive, f_brake, _, _ = vehicle.powertrain
     steered = math.cos(state[STEERING]), math.sin(state[STEERING])
-    axles = (
-        (l_f, steered, front_demand, vehicle.front_tyre),
-        (-l_r, (1.0, 0.0), rear_demand, vehicle.rear_tyre),
-    )
-    X_sum, Y_sum, N_sum, drive_sum = 0.0, 0.0, 0.0, 0.0
+    rear_pedals = (1.0 - f_drive) * engine, (1.0 - f_brake) * brake
+    front = l_f, steered, (f_drive * engine, f_brake * brake), vehicle.front_tyre
+    rear = -l_r, (1.0, 0.0), rear_pedals, vehicle.rear_tyre
+    X_sum, Y_sum, N_sum, rolling_sum = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
-        x, direction, demand, tyre = axles[i // 2]
+        x, direction, pedals_here, tyre = (front, rear)[i // 2]
         y = track * (0.5 - i % 2)
         velocity = state[V_X] - y * state[YAW_RATE], state[V_Y] + x * state[YAW_RATE]
-        rate[SLIP + i], F_x, F_y, drive_force = wheel(
-            state[SLIP + i], velocity, direction, demand, loads[i], road, tyre
+        rate[SLIP + i], F_x, F_y, F_rolling = wheel(
+            state[SLIP + i], velocity, direction, pedals_here, loads[i], road, tyre
         )
         X_sum, Y_sum, N_sum = X_sum + F_x, Y_sum + F_y, N_sum + x * F_y - y * F_x
-        drive_sum += drive_force
-    return X_sum, Y_sum, N_sum, drive_sum
+        rolling_sum += F_rolling
+    return X_sum, Y_sum, N_sum, rolling_sum
 
 
 @compiled
@@ -138,13 +143,13 @@ def derivative(
     X_air, Y_air, N_air = air_forces((v_x, v_y), (cos, sin), wind, vehicle.air)
     rolling = rolling_resistance(v_x, m, vehicle.powertrain)
     resistance = rolling - X_air + state[CORNERING]
-    force = pedal_force(v_x, target_speed, resistance, m, vehicle.powertrain)
-    X_tyre, Y_tyre, N_tyre, drive_force = wheel_forces(state, force, road, vehicle, rate)
+    pedal_forces = pedals(v_x, target_speed, resistance, m, vehicle.powertrain)
+    X_tyre, Y_tyre, N_tyre, F_wheels = wheel_forces(state, pedal_forces, road, vehicle, rate)
     a_x, a_y = (X_tyre + X_air - rolling) / m, (Y_tyre + Y_air) / m
     rate[X], rate[Y], rate[YAW] = cos * v_x - sin * v_y, sin * v_x + cos * v_y, r
     rate[V_X], rate[V_Y], rate[YAW_RATE] = a_x + r * v_y, a_y - r * v_x, (N_tyre + N_air) / I_z
     rate[A_X], rate[A_Y] = (a_x - state[A_X]) / load_lag, (a_y - state[A_Y]) / load_lag
-    rate[CORNERING] = (drive_force - X_tyre - m * r * v_y - state[CORNERING]) / FEELING_LAG
+    rate[CORNERING] = (F_wheels - X_tyre - m * r * v_y - state[CORNERING]) / FEELING_LAG
     rate[STEERING] = 0.0
     if stands(v_x, v_y, target_speed):
         rate[V_X] = 0.0
