@@ -16,6 +16,10 @@ SPACING = 0.25
 """Distance of the samples that a path is stored in [m]."""
 MIN_GAP = 1e-3
 """Points closer than this to their predecessor are dropped as duplicates [m]."""
+MAX_LENGTH = 2.0e5
+"""Longest path; one stray point in another frame would fill the memory with samples [m]."""
+FIRST_CATCH = 3.0
+"""Where a path comes by twice, the first part counts that is nearest up to this [m]."""
 
 
 class Path(NamedTuple):
@@ -57,10 +61,12 @@ def make_path(points: ArrayLike) -> Path:
         The path. Two points give a straight line.
 
     Raises:
-        ValueError: Not (n, 2), not finite, or fewer than two different points.
+        ValueError: Not (n, 2), not finite, too long, or fewer than two different points.
     """
     corners = _different_points(np.asarray(points, dtype=float))
     chord = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
+    if chord[-1] > MAX_LENGTH:
+        raise ValueError(f"path: length = {chord[-1]:g} must be at most {MAX_LENGTH:g} m")
     spline = make_interp_spline(chord, corners, k=min(3, len(corners) - 1))
     fine = np.linspace(0.0, chord[-1], 4 * math.ceil(chord[-1] / SPACING) + 1)
     length = _arc_length(spline, fine)
@@ -86,7 +92,7 @@ def _different_points(points: Array) -> Array:
     kept = points[np.concatenate(([True], gap > MIN_GAP))]
     if len(kept) < 2:
         raise ValueError(f"path: {len(kept)} different points, at least 2 are needed")
-    return kept
+    return np.asarray(kept)
 
 
 def _arc_length(spline: object, parameter: Array) -> Array:
@@ -135,13 +141,21 @@ def project(path: Path, x: float, y: float, start: int, stop: int) -> float:
     bend = max(1.0 - across * path.curvature[nearest], 0.5)
     if not ((nearest == 0 and along < 0) or (nearest == last and along > 0)):
         along = min(max(along / bend, -path.spacing), path.spacing)
-    return nearest * path.spacing + along
+    return float(nearest * path.spacing + along)
 
 
 @compiled
 def cross_track_error(point: PathPoint, x: float, y: float) -> float:
     """Give the signed distance of (x, y) from a path point's tangent, positive to its left [m]."""
     return (y - point.y) * math.cos(point.heading) - (x - point.x) * math.sin(point.heading)
+
+
+@compiled
+def curvature_between(path: Path, a: float, b: float) -> float:
+    """Give the mean curvature from arc length a to b >= a [1/m]."""
+    if b - a < path.spacing:
+        return point_at(path, (a + b) / 2).curvature
+    return (point_at(path, b).heading - point_at(path, a).heading) / (b - a)
 
 
 class Progress:
@@ -153,15 +167,21 @@ class Progress:
         self.window = math.ceil(window / path.spacing)
         self.index: int | None = None
 
-    def advance(self, x: float, y: float) -> float:
+    def advance(self, x: float, y: float, yaw: float = 0.0) -> float:
         """Give the arc length of the car at (x, y) [m]."""
         count = len(self.path.x)
-        start, stop = 0, count
-        if self.index is not None:
-            start, stop = max(self.index - self.window, 0), min(self.index + self.window + 1, count)
+        if self.index is None:
+            self.index = self._first_catch(x, y)
+        start, stop = max(self.index - self.window, 0), min(self.index + self.window + 1, count)
         s = project(self.path, x, y, start, stop)
         self.index = min(max(round(s / self.path.spacing), 0), count - 1)
         return s
+
+    def _first_catch(self, x: float, y: float) -> int:
+        distance = np.hypot(self.path.x - x, self.path.y - y)
+        near = np.append(distance <= distance.min() + FIRST_CATCH, False)
+        first = int(np.argmax(near))
+        return first + int(np.argmin(distance[first : first + int(np.argmin(near[first:]))]))
 
     def errors(self, state: VehicleState) -> tuple[float, float]:
         """Give the cross-track error [m] and the heading error [rad] of a state, and move on."""
