@@ -4,14 +4,16 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path, make_path
 from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
+from ampc_ros.preview import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 
 CONTROLLERS = {
+    "preview": "adaptive MPC on the path ahead, with the actuator in its model",
     "paper": "adaptive MPC of the paper, model at the measured speed",
     "classic": "the same MPC with its model fixed at a nominal speed",
     "pure_pursuit": "geometric baseline on the rear axle",
@@ -62,6 +64,9 @@ def make_controller(choices: Choices) -> Controller:
     if choices.controller == "classic":
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
     table = load_gain_table(choices.gain_table)
+    if choices.controller == "preview":
+        steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
+        return PreviewMpc(chassis, steering, settings, table, choices.base_link_to_cg)
     return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
 
 
