@@ -23,6 +23,7 @@ class Checked:
     """Base of all parameters: refuses, by name, value and bound, what lies outside its range."""
 
     def __post_init__(self) -> None:
+        """Check every field against its metadata."""
         for item in fields(self):
             value = getattr(self, item.name)
             if "options" in item.metadata and value not in item.metadata["options"]:
@@ -61,7 +62,7 @@ class ChassisParameters(Checked):
 
     @property
     def understeer_gradient(self) -> float:
-        """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]; positive where the car understeers."""
+        """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]; positive: the car understeers."""
         front = self.cg_to_rear_axle / (2 * self.front_cornering_stiffness)
         rear = self.cg_to_front_axle / (2 * self.rear_cornering_stiffness)
         return self.mass / self.wheelbase * (front - rear)
@@ -88,6 +89,8 @@ class ControllerSettings(Checked):
     max_angle: float = number(0.0, 1.5, "rad", math.pi / 6)
     max_output_error: float = number(0.0, math.inf, "m", math.inf)
     """Half-width of the soft lane about the reference, Eq. (15); infinite: no output rows."""
+    friction: float = number(0.05, 2.0, "", 0.9)
+    """Of the road as the controller believes it to be; the bound of the angle follows it."""
     slack_weight: float = number(1.0e-3, 1.0e9, "1/m^2", 1.0e4)
     nominal_speed: float = number(0.0, 100.0, "m/s", 0.0)
     """Speed of a model that does not adapt; 0: the model follows the measured speed."""
