@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path, Progress
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
 from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
@@ -21,6 +21,10 @@ from ampc_ros.small_matrices import apply, dot
 
 Array = NDArray[np.float64]
 
+GRAVITY = 9.81
+"""[m/s^2]"""
+FRICTION_SHARE = 0.9
+"""Share of the friction that the bound of the angle lets the tyres use."""
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the exact solver would lose its digits."""
 
@@ -36,6 +40,7 @@ class Limits(NamedTuple):
     exact: bool
     sweeps: int
     tolerance: float
+    a_y_max: float
 
 
 class Tick(NamedTuple):
@@ -182,17 +187,22 @@ class LateralMpc:
         return (self.steering - before) / self.limits.T
 
 
-def limits_of(settings: ControllerSettings) -> Limits:
-    """Give the settings as compiled code takes them."""
+def limits_of(settings: ControllerSettings, steering: SteeringParameters | None = None) -> Limits:
+    """Give the settings as compiled code takes them, within what the steering can do."""
+    step, angle = settings.max_increment, settings.max_angle
+    if steering is not None:
+        step = min(step, steering.max_rate * settings.sample_time)
+        angle = min(angle, steering.max_angle)
     return Limits(
         settings.sample_time,
-        settings.max_increment,
-        settings.max_angle,
+        step,
+        angle,
         settings.max_output_error,
         settings.slack_weight,
         settings.solver == "active_set",
         int(settings.hildreth_sweeps),
         settings.hildreth_tolerance,
+        FRICTION_SHARE * settings.friction * GRAVITY,
     )
 
 

@@ -1,0 +1,163 @@
+"""The controller that drives cars: adaptive MPC on the path ahead, with the actuator in its model."""
+
+import math
+from dataclasses import astuple
+
+import numpy as np
+
+from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
+from ampc_msgs_config.path import Array, Path, Progress, curvature_between, point_at
+from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState, at_distance
+from ampc_ros.gain_table import GainTable
+from ampc_ros.lateral_mpc import Limits, limits_of
+from ampc_ros.model import Vehicle
+from ampc_ros.preview_model import E_PSI, E_Y, STATES, R, V_Y, Actuator, sampled_model, steady_steering
+from ampc_ros.preview_mpc import Past, Plan, Road, preview_plan
+from ampc_ros.small_matrices import apply
+
+STANDSTILL = 0.3
+"""Below this speed the steering holds [m/s]."""
+REVERSE = -0.1
+"""Below this speed the car drives backwards, which this controller refuses to steer [m/s]."""
+LEARN_ABOVE = 1.5
+"""Speed from which the disturbance is learnt: below it the model is not the car's [m/s]."""
+DISTURBANCE_GAIN = np.array([0.3, 0.02, 0.3, 0.02, 0.0])
+"""Share of a new residual that enters the estimate in a tick, by state."""
+ACCELERATION_GAIN = 0.3
+"""Share of a new difference of speeds that enters the estimated acceleration in a tick."""
+ACCELERATION_FADE = 1.0
+"""Time constant with which the acceleration is expected to fade [s]."""
+
+
+@compiled
+def road_ahead(path: Path, s: float, v_x: float, a_x: float, T: float, H: int) -> Road:
+    """Speeds and mean curvatures of the horizon, from one tick back to H ticks ahead.
+
+    Args:
+        path: The reference.
+        s: Arc length of the car [m].
+        v_x: Speed now [m/s].
+        a_x: Acceleration now; it is expected to fade [m/s^2].
+        T: Step [s].
+        H: Steps.
+    """
+    speed, curvature = np.empty(H + 1), np.empty(H + 1)
+    speed[0] = v_x
+    curvature[0] = curvature_between(path, s - v_x * T, s)
+    for j in range(H):
+        gained = a_x * ACCELERATION_FADE * (1.0 - math.exp(-(j + 0.5) * T / ACCELERATION_FADE))
+        speed[j + 1] = max(v_x + gained, 0.0)
+        curvature[j + 1] = curvature_between(path, s, s + speed[j + 1] * T)
+        s += speed[j + 1] * T
+    return Road(speed, curvature)
+
+
+class PreviewMpc:
+    """Adaptive MPC in path coordinates, the default."""
+
+    def __init__(
+        self,
+        chassis: ChassisParameters,
+        steering: SteeringParameters,
+        settings: ControllerSettings,
+        table: GainTable,
+        base_link_to_cg: float | None = None,
+    ) -> None:
+        """Make a controller at rest.
+
+        Args:
+            chassis: The car as the controller believes it to be.
+            steering: Its actuator: limits, delay, lag.
+            settings: Limits and solver.
+            table: Gains by speed.
+            base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
+                [m]; by default `odom` describes the rear axle.
+        """
+        self.vehicle: Vehicle = astuple(chassis)
+        self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
+        self.period = settings.sample_time
+        self.limits: Limits = limits_of(settings, steering)
+        ticks, share = divmod(steering.delay / self.period + 1e-9, 1.0)
+        self.actuator = Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.lag)
+        self.table = table
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all earlier steps: no command, no disturbance, no path."""
+        self.sent = np.zeros(self.actuator.ticks + 1)
+        self.disturbance = np.zeros(STATES)
+        self.acceleration = 0.0
+        self.path: Path | None = None
+        self.last: VehicleState | None = None
+        self.expected: Array | None = None
+        self.delta = 0.0
+        self.table.reset()
+
+    @property
+    def steering(self) -> float:
+        """Angle commanded last [rad]."""
+        return float(self.sent[-1])
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer one state: place on the path, disturbance, gains, road ahead, plan.
+
+        Args:
+            state: At `base_link`.
+            path: The reference; another object is taken as another path.
+        """
+        car = at_distance(state, self.to_cg)
+        if path is not self.path:
+            self.path, self.progress = path, Progress(path)
+        s = self.progress.advance(car.x, car.y, car.yaw)
+        e_y, e_psi = self.progress.errors(car)
+        x = np.array([car.v_y, math.sin(e_psi), car.yaw_rate, e_y, self.delta])
+        self._learn(car, x)
+        if car.v_x < STANDSTILL:
+            return self._hold(car, s, e_y, e_psi)
+        gains, outside = self.table.lookup(car.v_x)
+        H = gains.prediction_horizon + self.actuator.ticks
+        road = road_ahead(path, s, car.v_x, self.acceleration, self.period, H)
+        past = Past(x, self.sent, self.disturbance)
+        plan = preview_plan(self.vehicle, self.actuator, gains, self.limits, past, road)
+        rate = self._send(plan.steering)
+        self._expect(x, road)
+        diagnosis = Diagnosis(
+            e_y, e_psi, plan.active, plan.slack, plan.iterations, plan.status == 0, *gains, outside
+        )
+        return Command(car.stamp_ns, self.steering, rate, diagnosis)
+
+    def _learn(self, car: VehicleState, x: Array) -> None:
+        """Update disturbance and acceleration by what the last tick should have brought."""
+        last, self.last = self.last, car
+        if last is None:
+            return
+        elapsed = (car.stamp_ns - last.stamp_ns) / NANOSECONDS
+        if not 0.5 * self.period < elapsed < 1.5 * self.period:
+            self.expected = None
+            return
+        change = (car.v_x - last.v_x) / elapsed
+        self.acceleration += ACCELERATION_GAIN * (change - self.acceleration)
+        if self.expected is not None and car.v_x > LEARN_ABOVE:
+            residual = x - self.expected
+            self.disturbance += DISTURBANCE_GAIN * (residual - self.disturbance)
+
+    def _expect(self, x: Array, road: Road) -> None:
+        """Note the state that the model, without disturbance, expects at the next tick."""
+        A, B_old, B_new, D = sampled_model(self.vehicle, road.speed[0], self.period, self.actuator)
+        older, old = self.before, self.sent[-1 - self.actuator.ticks]
+        self.expected = apply(A, x) + B_old * older + B_new * old + D * road.curvature[1]
+        self.delta = float(self.expected[4])
+
+    def _send(self, steering: float) -> float:
+        """Remember a command; gives its rate [rad/s]."""
+        before = self.steering
+        self.before = float(self.sent[0])
+        self.sent = np.append(self.sent[1:], steering)
+        return (steering - before) / self.period
+
+    def _hold(self, car: VehicleState, s: float, e_y: float, e_psi: float) -> Command:
+        """Keep the angle: the car stands, or drives backwards."""
+        self._send(self.steering)
+        self.expected = None
+        return Command(car.stamp_ns, self.steering, 0.0, Diagnosis(e_y, e_psi))

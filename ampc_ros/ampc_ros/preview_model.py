@@ -1,0 +1,100 @@
+"""The car relative to its path, with its steering actuator: the model of the `preview` formulation.
+
+State [v_y, e_psi, r, e_y, delta]: lateral velocity, heading error, yaw rate, cross-track error and
+road-wheel angle. The first four obey A_c and B_c of Eq. (7), with the path's curvature kappa as a
+known disturbance: e_psi' = r - v kappa, e_y' = v_y + v e_psi.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ampc_msgs_config.compiled import compiled
+from ampc_ros.model import MIN_SPEED, Vehicle, lateral_dynamics, matrix_exponential
+from ampc_ros.small_matrices import apply, product
+
+Array = NDArray[np.float64]
+
+V_Y, E_PSI, R, E_Y, DELTA = range(5)
+STATES = 5
+
+
+class Actuator(NamedTuple):
+    """Steering actuator as the controller believes it to be: delay = (ticks + share) T."""
+
+    ticks: int
+    share: float
+    lag: float
+    """Time constant; 0: the angle follows at once [s]."""
+
+
+@compiled
+def continuous_model(vehicle: Vehicle, v_x: float, lag: float) -> Array:
+    """[[A, B, D], [0, 0, 0]] (7, 7): Eq. (7) on the path, input u, disturbance kappa.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r; stiffness of ONE tyre.
+        v_x: Longitudinal speed, held at 1 m/s from below [m/s].
+        lag: Time constant of the steering, 0: the angle follows at once and delta is not used [s].
+    """
+    A_c, B_c = lateral_dynamics(vehicle, v_x)
+    block = np.zeros((STATES + 2, STATES + 2))
+    block[:4, :4] = A_c
+    block[E_PSI, STATES + 1] = -max(v_x, MIN_SPEED)
+    if lag > 0.0:
+        block[:4, DELTA] = B_c
+        block[DELTA, DELTA], block[DELTA, STATES] = -1.0 / lag, 1.0 / lag
+    else:
+        block[:4, STATES] = B_c
+    return block
+
+
+@compiled
+def sampled_model(
+    vehicle: Vehicle, v_x: float, T: float, actuator: Actuator
+) -> tuple[Array, Array, Array, Array]:
+    """A (5, 5), B_old (5,), B_new (5,), D (5,) of one step of T [s].
+
+    The input is held; it changes within the step where the delay is no multiple of T:
+    x(k+1) = A x(k) + B_old u(k-n-1) + B_new u(k-n) + D kappa, with n = `actuator.ticks`.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        v_x: Longitudinal speed [m/s].
+        T: Step [s].
+        actuator: Its `share` is the part of the step for which the older input still acts.
+    """
+    _, share, lag = actuator
+    block = continuous_model(vehicle, v_x, lag)
+    new = matrix_exponential(block * ((1.0 - share) * T))
+    A_new = new[:STATES, :STATES].copy()
+    if share == 0.0:
+        return A_new, np.zeros(STATES), new[:STATES, STATES].copy(), new[:STATES, STATES + 1].copy()
+    old = matrix_exponential(block * (share * T))
+    A = product(A_new, old[:STATES, :STATES])
+    B_old = apply(A_new, old[:STATES, STATES])
+    D = apply(A_new, old[:STATES, STATES + 1]) + new[:STATES, STATES + 1]
+    return A, B_old, new[:STATES, STATES].copy(), D
+
+
+@compiled
+def understeer_gradient(vehicle: Vehicle) -> float:
+    """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]."""
+    m, _, l_f, l_r, C_f, C_r = vehicle
+    return m / (l_f + l_r) * (l_r / (2 * C_f) - l_f / (2 * C_r))
+
+
+@compiled
+def steady_steering(vehicle: Vehicle, v_x: float, curvature: float) -> float:
+    """Angle that holds a curvature in steady state, kappa (L + K_us v^2) [rad]."""
+    return curvature * (vehicle[2] + vehicle[3] + understeer_gradient(vehicle) * v_x**2)
+
+
+@compiled
+def angle_bound(vehicle: Vehicle, v_x: float, u_max: float, a_y_max: float) -> float:
+    """Bound of the angle that follows the tyre: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
+    v = max(v_x, MIN_SPEED)
+    L = vehicle[2] + vehicle[3]
+    tyre = a_y_max * (L / v**2 + max(understeer_gradient(vehicle), 0.0))
+    return min(u_max, tyre)
