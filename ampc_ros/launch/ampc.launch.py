@@ -21,11 +21,12 @@ ARGUMENTS = {
     "controller": ("paper", "paper, classic or pure_pursuit"),
     "gain_table": ("table3", "name of a shipped gain table, or a YAML file"),
     "lock_step": ("true", "simulated time advances only when all commands have arrived"),
+    "time_out": ("60.0", "wait for a command in lock-step, also while nodes compile [s]"),
     "namespace": ("", "namespace of the nodes and of their topics"),
     "simulate": ("true", "start the simulator; false where a real car drives"),
     "record": ("", "new folder for a recording; empty for none"),
 }
-TYPES = {"speed": float, "lock_step": bool}
+TYPES = {"speed": float, "time_out": float, "lock_step": bool}
 DRIVE = ("vehicle", "scenario", "path", "speed", "lock_step")
 
 
@@ -40,7 +41,7 @@ def generate_launch_description() -> LaunchDescription:
     record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("record"), ""))
     control = ("vehicle", "controller", "gain_table", "lock_step")
     nodes = [
-        node("sim_vehicle", "simulator", [arguments_of(DRIVE)], simulate),
+        node("sim_vehicle", "simulator", [arguments_of((*DRIVE, "time_out"))], simulate),
         node("ampc_ros", "planner", [arguments_of(DRIVE), follows_clock]),
         node("ampc_ros", "controller", [arguments_of(control), follows_clock]),
         node(
