@@ -67,7 +67,10 @@ def make_controller(choices: Choices) -> Controller:
     if choices.controller == "preview":
         steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
         return PreviewMpc(chassis, steering, settings, table, choices.base_link_to_cg)
-    return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
+    try:
+        return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
+    except ValueError as error:
+        raise ValueError(f"{find('gains', choices.gain_table)}: {error}") from error
 
 
 def warm_up(controller: Controller) -> None:
