@@ -3,7 +3,7 @@
 Source: H. B. Pacejka, Tire and Vehicle Dynamics, 3rd ed.: Magic Formula and the influence of the
 load (chapters 1 and 4), transient slip with relaxation length (chapter 7), standstill (chapter 8).
 
-A `tyre` is `parameters.Numbers.front` or `.rear`: (magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0).
+A `tyre` is (magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0); magic is 0 for a linear tyre.
 """
 
 import math
