@@ -24,6 +24,8 @@ LEARN_ABOVE = 1.5
 """Speed from which the disturbance is learnt: below it the model is not the car's [m/s]."""
 DISTURBANCE_GAIN = np.array([0.3, 0.02, 0.3, 0.02, 0.0])
 """Share of a new residual that enters the estimate in a tick, by state."""
+MAX_DISTURBANCE = np.array([3.0, 0.05, 1.5, 0.5, 0.0])
+"""Largest disturbance: what is more is a skid, and no wind [unit of the state / s]."""
 ACCELERATION_GAIN = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration in a tick."""
 ACCELERATION_FADE = 1.0
@@ -141,6 +143,8 @@ class PreviewMpc:
         if self.expected is not None and car.v_x > LEARN_ABOVE:
             residual = x - self.expected
             self.disturbance += DISTURBANCE_GAIN * (residual - self.disturbance)
+            bound = MAX_DISTURBANCE * self.period
+            self.disturbance = np.clip(self.disturbance, -bound, bound)
 
     def _expect(self, x: Array, road: Road) -> None:
         """Note the state that the model, without disturbance, expects at the next tick."""

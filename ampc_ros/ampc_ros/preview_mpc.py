@@ -1,5 +1,6 @@
 """The quadratic programme of the `preview` formulation: the road ahead, the actuator, the tyre."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import Limits, solve
 from ampc_ros.model import Vehicle
 from ampc_ros.prediction import add_outer, quadratic_cost
-from ampc_ros.preview_model import E_Y, STATES, Actuator, angle_bound, sampled_model, steady_steering
+from ampc_ros.preview_model import E_PSI, E_Y, STATES, V_Y, Actuator, angle_bound, sampled_model, steady_steering
 from ampc_ros.qp import Qp, QpSolution
 from ampc_ros.small_matrices import apply, dot, product
 
@@ -20,12 +21,14 @@ Array = NDArray[np.float64]
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon for which the model is not rebuilt."""
-HEAD_START = 0.3
+HEAD_START = 0.05
 """Cross-track error that is to vanish within the horizon [m]."""
 RETURN_RATE = 1.0
 """Lateral speed of a return from farther away [m/s]."""
 RETURN_SLOPE = 0.25
 """Largest share of the speed in it."""
+RETURN_ACCELERATION = 1.0
+"""Lateral acceleration of it [m/s^2]."""
 
 
 class Road(NamedTuple):
@@ -109,9 +112,9 @@ def predict_on_road(
     H, N, n = len(nominal), S.shape[1], actuator.ticks
     free, Phi = np.empty(H), np.empty((H, N))
     x, response = past.x, np.zeros((STATES, N))
-    v = 0.0
+    v = -1.0
     for j in range(H):
-        if abs(road.speed[j + 1] - v) > SPEED_STEP * v:
+        if abs(road.speed[j + 1] - v) > SPEED_STEP * abs(v):
             v = road.speed[j + 1]
             A, B_old, B_new, D = sampled_model(vehicle, v, T, actuator)
         old, new = input_at(j - n - 1, past.sent, nominal), input_at(j - n, past.sent, nominal)
@@ -138,17 +141,28 @@ def input_at(i: int, sent: Array, nominal: Array) -> float:
 
 
 @compiled
-def return_path(e_y: float, v_x: float, H: int, T: float) -> Array:
-    """Cross-track error to aim at, (H,) [m]: zero, or a steady return from farther away.
+def return_path(e_y: float, e_y_rate: float, v_x: float, H: int, T: float) -> Array:
+    """Cross-track error to aim at, (H,) [m]: zero, or a gentle return from farther away.
 
     Without it a car that joins from metres away is pulled as hard as the tyres can; with it the
     pull does not depend on the friction that the road really has.
+
+    Args:
+        e_y: Cross-track error now [m].
+        e_y_rate: Its rate now [m/s].
+        v_x: Speed [m/s].
+        H: Steps.
+        T: Step [s].
     """
-    rate = min(RETURN_RATE, RETURN_SLOPE * v_x)
+    side = 1.0 if e_y > 0.0 else -1.0
+    rest, rate = max(side * e_y - HEAD_START, 0.0), side * e_y_rate
+    fastest = min(RETURN_RATE, RETURN_SLOPE * v_x)
     aim = np.zeros(H)
     for j in range(H):
-        rest = max(abs(e_y) - HEAD_START - rate * (j + 1) * T, 0.0)
-        aim[j] = rest if e_y > 0.0 else -rest
+        wanted = -min(fastest, math.sqrt(2.0 * RETURN_ACCELERATION * rest))
+        rate = min(max(wanted, rate - RETURN_ACCELERATION * T), rate + RETURN_ACCELERATION * T)
+        rest = max(rest + rate * T, 0.0)
+        aim[j] = side * rest
     return aim
 
 
@@ -195,7 +209,8 @@ def preview_plan(
     nominal = nominal_steering(vehicle, road, u, bounds, limits.Delta_u_max)
     L = laguerre_sequence(alpha, N, N_c)
     free, Phi = predict_on_road(vehicle, actuator, limits.T, past, road, nominal, running_sum(L))
-    aim = return_path(past.x[E_Y], road.speed[1], H, limits.T)
+    v, e_y_rate = road.speed[1], past.x[V_Y] + road.speed[1] * past.x[E_PSI]
+    aim = return_path(past.x[E_Y], e_y_rate, v, H, limits.T)
     E, K = quadratic_cost(Phi, aim - free, L, Q, R)
     h, s = 4 * N_c, output_steps(H, H, limits.half_width)
     if s > 0:

@@ -202,7 +202,7 @@ def nearest_feasible(rows: Array, bounds: Array, start: Array) -> tuple[Array, A
         excess = dot(rows[target], w) - bounds[target]
         primal_step = max(excess, 0.0) / slope if slope > DEPENDENT and k < len(w) else math.inf
         step = min(dual_step, primal_step)
-        if step == math.inf:
+        if not step < math.inf:
             return w, multipliers, change, INFEASIBLE
         added += step
         for i in range(k):
