@@ -7,9 +7,7 @@ Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere th
 import sys
 
 if sys.version_info < (3, 10):  # noqa: UP036 - who has an older Python shall read a sentence
-    sys.exit(
-        "bootstrap: Python 3.10 or newer is needed (make PYTHON=python3.12), this is an older one"
-    )
+    sys.exit(f"bootstrap: Python 3.10 or newer is needed, this is {sys.version.split()[0]}")
 
 import argparse
 import hashlib
@@ -191,7 +189,7 @@ def explain_pip(output: str, version: str, machine: str) -> str:
     if wheel := NO_WHEEL.search(output):
         return (
             f"there is no wheel of {wheel[1]} for Python {version} on {machine}: "
-            "use Python 3.10 to 3.13 on x86-64 (make PYTHON=python3.12)"
+            "use Python 3.10 to 3.14 on x86-64 (make PYTHON=python3.12)"
         )
     return f"pip failed: {last_line(output)} ({LOG.relative_to(ROOT)})"
 
