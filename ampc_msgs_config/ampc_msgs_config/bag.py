@@ -1,17 +1,17 @@
 """Read bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, DataEnd, Header, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from rclpy.serialization import deserialize_message
 
 from ampc_msgs_config.message_types import message_class
 
 MAGIC = b"\x89MCAP0\r\n"
+PROFILES = ("ros2", "")
 Decoder = Callable[[bytes], Any]
 
 
@@ -48,14 +48,15 @@ def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
 
 def is_complete(bag: Path) -> bool:
     """Tell whether each file of a bag was closed properly."""
-    return all(tail(file) == MAGIC for file in files(bag))
+    return all(is_closed(file) for file in files(bag))
 
 
-def tail(file: Path) -> bytes:
-    """Give the last bytes of a file, where a closed one repeats the magic number."""
+def is_closed(file: Path) -> bool:
+    """Tell whether a file ends as it began, with the magic number."""
+    size = file.stat().st_size
     with file.open("rb") as stream:
-        stream.seek(max(0, file.stat().st_size - len(MAGIC)))
-        return stream.read()
+        stream.seek(max(0, size - len(MAGIC)))
+        return size > len(MAGIC) and stream.read() == MAGIC
 
 
 def files(bag: Path) -> list[Path]:
@@ -95,18 +96,23 @@ def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
     """Give the messages of one MCAP file up to its end, wherever that is."""
     with file.open("rb") as stream:
         try:
-            yield from decoded(StreamReader(stream, validate_crcs=True), topics)
-        except EndOfFile:
-            return
-        except (McapError, ValueError, RuntimeError, ImportError) as error:
-            raise ValueError(f"{file}: {' '.join(str(error).split())}") from error
+            yield from decoded(StreamReader(stream, validate_crcs=True).records, topics)
+        except Exception as error:  # what a damaged byte makes the libraries raise has no end
+            if not stream.read(1) and not is_closed(file):
+                return
+            reason = " ".join(str(error).split()) or "it ends early"
+            raise ValueError(f"{file}: damaged or foreign: {reason}") from error
 
 
-def decoded(reader: StreamReader, topics: Collection[str]) -> Iterator[Entry]:
+def decoded(records: Iterable[McapRecord], topics: Collection[str]) -> Iterator[Entry]:
     """Decode the messages of wanted topics whose type is installed."""
     schemas: dict[int, Schema] = {}
     decoders: dict[int, tuple[str, Decoder]] = {}
-    for record in reader.records:
+    for record in records:
+        if isinstance(record, Header) and record.profile not in PROFILES:
+            raise ValueError(f"its profile is {record.profile!r}, not 'ros2'")
+        if isinstance(record, DataEnd):
+            return
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and (not topics or record.topic in topics):

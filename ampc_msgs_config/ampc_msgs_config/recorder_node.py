@@ -38,7 +38,7 @@ from std_msgs.msg import Float64
 from ampc_msgs_config import ros
 from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recording import Recording
-from ampc_msgs_config.types import NANOSECONDS, Diagnosis
+from ampc_msgs_config.types import NANOSECONDS
 
 WRITE_PERIOD = 0.4
 """Wall time between two batches [s]."""
@@ -56,7 +56,7 @@ CONTRACT: dict[str, Any] = {
     ros.STEERING_STATE: JointState,
     ros.WIND: Vector3Stamped,
     ros.DIAGNOSTICS: DiagnosticArray,
-    **{f"controller/debug/{name}": Float64 for name in (*Diagnosis._fields, "solve_time")},
+    **{f"controller/debug/{name}": Float64 for name in ros.DEBUG_QUANTITIES},
 }
 LATCHED_EVERYTHING = QoSProfile(
     depth=0,
@@ -100,6 +100,7 @@ class Recorder(Node):
         self.arrivals: list[Arrival] = []
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
+        self.first_numbers: dict[str, int] = {}
         self.clock_ns = self.lost = 0
         self.awaited_ns = sys.maxsize
         self.heard = time.monotonic()
@@ -142,6 +143,7 @@ class Recorder(Node):
 
     def keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         """Keep a message until it is written."""
+        self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
         arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
         self.arrivals.append(arrival)
         if arrival.publish_ns < self.awaited_ns:
@@ -195,10 +197,12 @@ class Recorder(Node):
         self.write_before(sys.maxsize)
         self.recording.close()
         bag = self.recording
+        missed = sum(number - 1 for number in self.first_numbers.values())
         self.get_logger().info(
             f"recorded {bag.count} messages on {len(bag.topics)} topics, "
             f"{(bag.end_ns - bag.start_ns) / NANOSECONDS:.1f} s, "
-            f"{bag.file.stat().st_size / 1e6:.2f} MB, {self.lost} lost: {bag.folder}"
+            f"{bag.file.stat().st_size / 1e6:.2f} MB, "
+            f"{missed} missed at the start, {self.lost} lost: {bag.folder}"
         )
 
 
