@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.types import VehicleState, wrap_angle
@@ -13,13 +13,24 @@ from ampc_msgs_config.types import VehicleState, wrap_angle
 Array = NDArray[np.float64]
 
 SPACING = 0.25
-"""Distance of the samples that a path is stored in [m]."""
+"""Distance of the samples that a path is stored in; more on paths beyond 250 km [m]."""
+MAX_SAMPLES = 1_000_000
 MIN_GAP = 1e-3
 """Points closer than this to their predecessor are dropped as duplicates [m]."""
-MAX_LENGTH = 2.0e5
+KNOT_GAP = 1.0
+"""Smoothing: the spline has a knot every metre at most, so finer wiggles are averaged [m]."""
+MAX_LENGTH = 2.0e6
 """Longest path; one stray point in another frame would fill the memory with samples [m]."""
+CLOSING_GAP = 1.5
+"""A path is closed where its ends are at most this many (median) spacings apart."""
+OVERLAP = 12
+"""Points of the other end that a closed path is continued with, so that it closes smoothly."""
 FIRST_CATCH = 3.0
 """Where a path comes by twice, the first part counts that is nearest up to this [m]."""
+BEHIND, AHEAD = 5.0, 20.0
+"""Where the next projection is sought, from the last one [m]."""
+LOST = 25.0
+"""Farther than this from the path there, the whole path is searched again [m]."""
 
 
 class Path(NamedTuple):
@@ -35,6 +46,8 @@ class Path(NamedTuple):
     """(n,) tangent direction, continuous (not wrapped) [rad]."""
     curvature: Array
     """(n,) curvature, positive to the left [1/m]."""
+    closed: bool
+    """Whether it goes on at its start; then the last sample is the first one again."""
 
     @property
     def length(self) -> float:
@@ -52,7 +65,11 @@ class PathPoint(NamedTuple):
 
 
 def make_path(points: ArrayLike) -> Path:
-    """Draw a cubic spline through points and sample it at equal arc length.
+    """Draw a smooth curve through points and sample it at equal arc length.
+
+    A cubic spline by least squares with knots at the points, but none closer than 1 m: points
+    a metre or more apart are met exactly, finer ones are averaged, corners become bends. A path
+    whose ends meet in the same direction is closed: it goes on for any number of laps.
 
     Args:
         points: (n, 2) positions in driving order [m]; spacing may vary, duplicates are dropped.
@@ -64,21 +81,64 @@ def make_path(points: ArrayLike) -> Path:
         ValueError: Not (n, 2), not finite, too long, or fewer than two different points.
     """
     corners = _different_points(np.asarray(points, dtype=float))
+    origin = corners[0].copy()  # far from the origin of the map a spline would lose digits
+    corners = corners - origin
+    closed = _is_closed(corners)
+    if closed:
+        corners = _overlapped(corners)
     chord = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
     if chord[-1] > MAX_LENGTH:
         raise ValueError(f"path: length = {chord[-1]:g} must be at most {MAX_LENGTH:g} m")
-    spline = make_interp_spline(chord, corners, k=min(3, len(corners) - 1))
-    fine = np.linspace(0.0, chord[-1], 4 * math.ceil(chord[-1] / SPACING) + 1)
+    ends = (chord[OVERLAP], chord[-OVERLAP - 1]) if closed else (0.0, chord[-1])
+    return _sampled(_spline(chord, corners), ends, origin, closed)
+
+
+def _is_closed(corners: Array) -> bool:
+    """Whether the last point leads on to the first one."""
+    steps = np.diff(corners, axis=0)
+    spacing = np.median(np.hypot(*steps.T))
+    gap = corners[0] - corners[-1]
+    if len(corners) <= OVERLAP or np.hypot(*gap) > CLOSING_GAP * spacing:
+        return False
+    return bool(steps[-1] @ steps[0] > 0 and gap @ steps[0] >= 0 and gap @ steps[-1] >= 0)
+
+
+def _overlapped(corners: Array) -> Array:
+    """Continue a closed path by points of its other end: from its first point to that again."""
+    if np.hypot(*(corners[-1] - corners[0])) <= MIN_GAP:
+        corners = corners[:-1]
+    return np.concatenate((corners[-OVERLAP:], corners, corners[: OVERLAP + 1]))
+
+
+def _spline(chord: Array, corners: Array) -> BSpline:
+    """Cubic spline over the chord length: interpolating, or by least squares where points are fine."""
+    knots = [0]
+    while (following := int(np.searchsorted(chord, chord[knots[-1]] + KNOT_GAP))) < len(chord):
+        knots.append(following)
+    if len(knots) < 6:
+        degree = min(3, len(corners) - 1)
+        return make_interp_spline(chord, corners, k=degree)
+    inner = chord[knots[2:-2]]
+    ends = np.repeat(chord[[0, -1]], 4)
+    return make_lsq_spline(chord, corners, np.concatenate((ends[:4], inner, ends[4:])))
+
+
+def _sampled(spline: BSpline, ends: tuple[float, float], origin: Array, closed: bool) -> Path:
+    """Sample a spline between two parameters at equal arc length."""
+    span = ends[1] - ends[0]
+    spacing = max(SPACING, span / MAX_SAMPLES)
+    fine = np.linspace(*ends, 4 * math.ceil(span / spacing) + 1)
     length = _arc_length(spline, fine)
-    count = math.ceil(length[-1] / SPACING) + 1
+    count = math.ceil(length[-1] / spacing) + 1
     parameter = np.interp(np.linspace(0.0, length[-1], count), length, fine)
     (x, y), (dx, dy), (ddx, ddy) = (spline(parameter, nu=order).T for order in (0, 1, 2))
     return Path(
         spacing=float(length[-1]) / (count - 1),
-        x=np.ascontiguousarray(x),
-        y=np.ascontiguousarray(y),
+        x=x + origin[0],
+        y=y + origin[1],
         heading=np.unwrap(np.arctan2(dy, dx)),
         curvature=(dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3,
+        closed=closed,
     )
 
 
@@ -106,18 +166,24 @@ def _arc_length(spline: object, parameter: Array) -> Array:
 
 @compiled
 def point_at(path: Path, s: float) -> PathPoint:
-    """Give the point at arc length `s` [m]; beyond an end the path goes on straight."""
+    """Give the point at arc length `s` [m]; beyond an end an open path goes on straight."""
     last = len(path.x) - 1
+    turned = 0.0
+    if path.closed:
+        lap = math.floor(s / (last * path.spacing))
+        s -= lap * last * path.spacing
+        turned = lap * (path.heading[last] - path.heading[0])
     place = s / path.spacing
     i = min(max(int(place), 0), last - 1)
     t = min(max(place - i, 0.0), 1.0)
     heading = path.heading[i] + t * (path.heading[i + 1] - path.heading[i])
     beyond = s - min(max(s, 0.0), last * path.spacing)
+    curvature = path.curvature[i] + t * (path.curvature[i + 1] - path.curvature[i])
     return PathPoint(
         path.x[i] + t * (path.x[i + 1] - path.x[i]) + beyond * math.cos(heading),
         path.y[i] + t * (path.y[i + 1] - path.y[i]) + beyond * math.sin(heading),
-        heading,
-        path.curvature[i] + t * (path.curvature[i + 1] - path.curvature[i]) if beyond == 0 else 0.0,
+        heading + turned,
+        curvature if beyond == 0.0 else 0.0,
     )
 
 
@@ -125,21 +191,25 @@ def point_at(path: Path, s: float) -> PathPoint:
 def project(path: Path, x: float, y: float, start: int, stop: int) -> float:
     """Find the arc length of the point nearest to (x, y) among samples `start` .. `stop` - 1.
 
+    On a closed path samples are counted on over the laps, backwards too.
+
     Returns:
-        Arc length [m]; beyond an end of the whole path it goes on along the end's tangent.
+        Arc length [m]; beyond an end of an open path it goes on along the end's tangent.
     """
     last = len(path.x) - 1
     nearest, best = start, math.inf
     for i in range(start, stop):
-        distance = (path.x[i] - x) ** 2 + (path.y[i] - y) ** 2
+        k = i % last if path.closed else i
+        distance = (path.x[k] - x) ** 2 + (path.y[k] - y) ** 2
         if distance < best:
             nearest, best = i, distance
-    along = (x - path.x[nearest]) * math.cos(path.heading[nearest])
-    along += (y - path.y[nearest]) * math.sin(path.heading[nearest])
-    across = (y - path.y[nearest]) * math.cos(path.heading[nearest])
-    across -= (x - path.x[nearest]) * math.sin(path.heading[nearest])
-    bend = max(1.0 - across * path.curvature[nearest], 0.5)
-    if not ((nearest == 0 and along < 0) or (nearest == last and along > 0)):
+    k = nearest % last if path.closed else nearest
+    cos, sin = math.cos(path.heading[k]), math.sin(path.heading[k])
+    along = (x - path.x[k]) * cos + (y - path.y[k]) * sin
+    across = (y - path.y[k]) * cos - (x - path.x[k]) * sin
+    bend = max(1.0 - across * path.curvature[k], 0.5)
+    ended = not path.closed and ((k == 0 and along < 0) or (k == last and along > 0))
+    if not ended:
         along = min(max(along / bend, -path.spacing), path.spacing)
     return float(nearest * path.spacing + along)
 
@@ -158,33 +228,61 @@ def curvature_between(path: Path, a: float, b: float) -> float:
     return (point_at(path, b).heading - point_at(path, a).heading) / (b - a)
 
 
-class Progress:
-    """Remembers how far along a path the car is; the whole path is searched only once."""
+def errors_at(path: Path, s: float, state: VehicleState) -> tuple[float, float]:
+    """Give the cross-track error [m] and the heading error [rad] of a state at arc length s [m]."""
+    point = point_at(path, s)
+    error = cross_track_error(point, state.x, state.y)
+    return error, wrap_angle(state.yaw - point.heading)
 
-    def __init__(self, path: Path, window: float = 20.0) -> None:
-        """Start on `path`, looking `window` [m] ahead and behind from the second call on."""
+
+class Progress:
+    """Remembers how far along a path the car is: where it crosses itself, progress decides.
+
+    The whole path is searched once; after that each step looks at a window of constant size.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Start on `path`, at the place where the car is seen first."""
         self.path = path
-        self.window = math.ceil(window / path.spacing)
         self.index: int | None = None
 
-    def advance(self, x: float, y: float, yaw: float = 0.0) -> float:
-        """Give the arc length of the car at (x, y) [m]."""
-        count = len(self.path.x)
-        if self.index is None:
-            self.index = self._first_catch(x, y)
-        start, stop = max(self.index - self.window, 0), min(self.index + self.window + 1, count)
-        s = project(self.path, x, y, start, stop)
-        self.index = min(max(round(s / self.path.spacing), 0), count - 1)
-        return s
+    def advance(self, x: float, y: float, yaw: float | None = None) -> float:
+        """Give the arc length of a car at (x, y) [m].
 
-    def _first_catch(self, x: float, y: float) -> int:
-        distance = np.hypot(self.path.x - x, self.path.y - y)
-        near = np.append(distance <= distance.min() + FIRST_CATCH, False)
-        first = int(np.argmax(near))
-        return first + int(np.argmin(distance[first : first + int(np.argmin(near[first:]))]))
+        Args:
+            x: Position [m].
+            y: Position [m].
+            yaw: Heading; where it is given, the car is first caught by a part of the path that
+                leads its way [rad].
+        """
+        if self.index is None:
+            self.index = self._first_catch(x, y, yaw)
+        s = self._project(self.index, x, y)
+        point = point_at(self.path, s)
+        if math.hypot(point.x - x, point.y - y) > LOST:
+            self.index = self._first_catch(x, y, yaw)
+            s = self._project(self.index, x, y)
+        self.index = round(s / self.path.spacing)
+        if not self.path.closed:
+            self.index = min(max(self.index, 0), len(self.path.x) - 1)
+        return s
 
     def errors(self, state: VehicleState) -> tuple[float, float]:
         """Give the cross-track error [m] and the heading error [rad] of a state, and move on."""
-        point = point_at(self.path, self.advance(state.x, state.y))
-        error = cross_track_error(point, state.x, state.y)
-        return error, wrap_angle(state.yaw - point.heading)
+        return errors_at(self.path, self.advance(state.x, state.y, state.yaw), state)
+
+    def _project(self, index: int, x: float, y: float) -> float:
+        start = index - math.ceil(BEHIND / self.path.spacing)
+        stop = index + math.ceil(AHEAD / self.path.spacing) + 1
+        if not self.path.closed:
+            start, stop = max(start, 0), min(stop, len(self.path.x))
+        return project(self.path, x, y, start, stop)
+
+    def _first_catch(self, x: float, y: float, yaw: float | None) -> int:
+        distance = np.hypot(self.path.x - x, self.path.y - y)
+        if yaw is not None:
+            leads_away = np.cos(self.path.heading - yaw) < 0
+            distance = distance + (0.0 if leads_away.all() else np.where(leads_away, np.inf, 0.0))
+        near = np.append(distance <= distance.min() + FIRST_CATCH, False)
+        first = int(np.argmax(near))
+        return first + int(np.argmin(distance[first : first + int(np.argmin(near[first:]))]))

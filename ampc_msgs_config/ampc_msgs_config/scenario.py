@@ -92,7 +92,7 @@ class SpeedPlanner:
         if self.profile.over == "time":
             elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
             return speed_at(self.profile, elapsed + SPEED_PREVIEW)
-        s = self.progress.advance(state.x, state.y)
+        s = self.progress.advance(state.x, state.y, state.yaw)
         return speed_at(self.profile, s + SPEED_PREVIEW * speed_at(self.profile, s))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.path import Array, Path, Progress, curvature_between, point_at
+from ampc_msgs_config.path import Array, Path, Progress, curvature_between, errors_at
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState, at_distance
 from ampc_ros.gain_table import GainTable
 from ampc_ros.lateral_mpc import Limits, limits_of
@@ -112,7 +112,7 @@ class PreviewMpc:
         if path is not self.path:
             self.path, self.progress = path, Progress(path)
         s = self.progress.advance(car.x, car.y, car.yaw)
-        e_y, e_psi = self.progress.errors(car)
+        e_y, e_psi = errors_at(path, s, car)
         x = np.array([car.v_y, math.sin(e_psi), car.yaw_rate, e_y, self.delta])
         self._learn(car, x)
         if car.v_x < STANDSTILL:
