@@ -3,11 +3,12 @@
 import csv
 import math
 from pathlib import Path as File
+from typing import NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import Array
+from ampc_msgs_config.path import Array, Path, make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
 
 
@@ -27,21 +28,46 @@ def choose_scenario(
     return load_scenario(name, size, speed)
 
 
-def from_csv(file: File, speed: float | None = None) -> Scenario:
+class SpeedLimits(NamedTuple):
+    """What a speed profile along a path keeps to."""
+
+    lateral_acceleration: float = math.inf
+    """v^2 times curvature [m/s^2]."""
+    longitudinal_acceleration: float = 2.0
+    """Of driving off and of braking [m/s^2]."""
+    speed: float = 30.0
+    """[m/s]."""
+
+
+def from_csv(
+    file: File,
+    speed: float | None = None,
+    limits: SpeedLimits | None = None,
+    laps: int = 1,
+) -> Scenario:
     """Make a scenario of a path file: `x_m,y_m[,v_mps]` or `t_s,x_m,y_m`; header names decide.
 
     Args:
         file: CSV with a header; `x_east_m,y_north_m` serve as well, other columns are ignored.
         speed: Constant speed instead of the file's [m/s].
+        limits: That the speed has to keep; they also serve where the file tells no speed.
+        laps: How often a closed path is driven.
 
     Raises:
         ValueError: Names file, line and value; or no speed is known.
     """
     columns = _columns(file)
     points = np.column_stack((columns["x"], columns["y"]))
-    distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    profile = _speed_over_distance(file, columns, distance, speed)
-    duration = float(np.sum(np.diff(profile.at) / np.maximum(_middle(profile.speed), 0.5)))
+    try:
+        path = make_path(points)
+        values = _speed_along(path, points, columns, speed, limits)
+        at = path.spacing * np.arange(len(values))
+        period = path.length if path.closed else None
+        profile = checked_profile(SpeedProfile("distance", at, values, period))
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    lap_time = float(np.sum(path.spacing / np.maximum(_middle(values), 0.5)))
+    duration = lap_time * (laps if path.closed else 1)
     return Scenario(file.stem, points, profile, duration=math.floor(duration * 10) / 10)
 
 
@@ -49,25 +75,55 @@ def _middle(values: Array) -> Array:
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
-def _speed_over_distance(
-    file: File, columns: dict[str, Array], distance: Array, speed: float | None
-) -> SpeedProfile:
-    keep = np.concatenate(([True], np.diff(distance) > 0))
-    at = distance[keep]
-    if len(at) < 2:
-        raise ValueError(f"{file}: {len(at)} different points, at least 2 are needed")
+def _speed_along(
+    path: Path,
+    points: Array,
+    columns: dict[str, Array],
+    speed: float | None,
+    limits: SpeedLimits | None,
+) -> Array:
+    """Speed at each sample of a path: the given or the file's one, within the limits [m/s]."""
+    count = len(path.x)
     if speed is not None:
-        values = np.full(len(at), speed)
-    elif "v" in columns:
-        values = columns["v"][keep]
-    elif "t" in columns:
-        values = np.gradient(at, columns["t"][keep])
+        values = np.full(count, speed)
+    elif "v" in columns or "t" in columns:
+        values = _file_speed(path, points, columns)
+    elif limits is not None:
+        values = np.full(count, limits.speed)
     else:
-        raise ValueError(f"{file}: has neither v_mps nor t_s; give a speed")
-    try:
-        return checked_profile(SpeedProfile("distance", at, values))
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
+        raise ValueError("has neither v_mps nor t_s; give a speed or a lateral acceleration")
+    return values if limits is None else limited(values, path, limits)
+
+
+def _file_speed(path: Path, points: Array, columns: dict[str, Array]) -> Array:
+    distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    kept = np.concatenate(([True], np.diff(distance) > 0))
+    if "v" in columns:
+        values = columns["v"][kept]
+    else:
+        values = np.gradient(distance[kept], columns["t"][kept])
+    share = np.linspace(0.0, distance[-1], len(path.x))
+    return np.asarray(np.interp(share, distance[kept], values))
+
+
+def limited(values: Array, path: Path, limits: SpeedLimits) -> Array:
+    """Lower speeds along a path until they keep to the limits (n,) [m/s].
+
+    Speeds are cut where the path bends, then forwards for driving off and backwards for braking;
+    on a closed path twice, so that its end fits its beginning.
+    """
+    bend = np.maximum(np.abs(path.curvature), 1e-9)
+    cut = np.minimum.reduce([values, np.sqrt(limits.lateral_acceleration / bend)])
+    speed = np.minimum(cut, limits.speed)
+    gain = 2 * limits.longitudinal_acceleration * path.spacing
+    for _ in range(2 if path.closed else 1):
+        if path.closed:
+            speed[0] = speed[-1] = min(speed[0], speed[-1])
+        for i in range(1, len(speed)):
+            speed[i] = min(speed[i], math.sqrt(speed[i - 1] ** 2 + gain))
+        for i in range(len(speed) - 1, 0, -1):
+            speed[i - 1] = min(speed[i - 1], math.sqrt(speed[i] ** 2 + gain))
+    return speed
 
 
 HEADERS = {"x_m": "x", "y_m": "y", "x_east_m": "x", "y_north_m": "y", "v_mps": "v", "t_s": "t"}

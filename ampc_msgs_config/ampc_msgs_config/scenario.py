@@ -31,6 +31,8 @@ class SpeedProfile(NamedTuple):
     """(n,) times [s] or arc lengths [m], increasing."""
     speed: Array
     """(n,) [m/s]."""
+    period: float | None = None
+    """Length of a lap, after which a profile over distance begins anew [m]."""
 
 
 class Wind(NamedTuple):
@@ -60,8 +62,8 @@ class Scenario(NamedTuple):
     @property
     def start(self) -> tuple[float, float, float]:
         """Pose of the centre of gravity at the start: x [m], y [m], yaw [rad]."""
-        (x, y), (x_next, y_next) = self.points[0], self.points[1]
-        yaw = math.atan2(y_next - y, x_next - x)
+        path = make_path(self.points)
+        x, y, yaw = path.x[0], path.y[0], float(path.heading[0])
         x, y = x - self.start_offset * math.sin(yaw), y + self.start_offset * math.cos(yaw)
         return float(x), float(y), yaw
 
@@ -70,7 +72,7 @@ def speed_at(profile: SpeedProfile, place: float) -> float:
     """Read a speed profile at a time [s] or an arc length [m]; its ends are held."""
     at, speed = profile.at, profile.speed
     if profile.over == "distance" or len(at) == 1:
-        return float(np.interp(place, at, speed))
+        return float(np.interp(place, at, speed, period=profile.period))
     i = int(np.clip(np.searchsorted(at, place, side="right") - 1, 0, len(at) - 2))
     share = q((place - at[i]) / (at[i + 1] - at[i]))
     return float(speed[i] + share * (speed[i + 1] - speed[i]))
