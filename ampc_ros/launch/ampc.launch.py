@@ -41,7 +41,12 @@ def generate_launch_description() -> LaunchDescription:
     record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("record"), ""))
     control = ("vehicle", "controller", "gain_table", "lock_step")
     nodes = [
-        node("sim_vehicle", "simulator", [arguments_of((*DRIVE, "time_out"))], simulate),
+        node(
+            "sim_vehicle",
+            "simulator",
+            [arguments_of((*DRIVE, "time_out")), follows_clock],
+            simulate,
+        ),
         node("ampc_ros", "planner", [arguments_of(DRIVE), follows_clock]),
         node("ampc_ros", "controller", [arguments_of(control), follows_clock]),
         node(
