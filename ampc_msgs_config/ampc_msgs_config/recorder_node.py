@@ -2,20 +2,14 @@
 
 It says `recording to <folder>` when all of its subscriptions stand; from then on `metadata.yaml`
 lies in the folder. SIGINT and SIGTERM end it, after all that was published before has come in.
-
-Note:
-    The log time of a message is the time of its reception. In simulated time (`use_sim_time`) it
-    is the stamp in the message, or without one the `/clock` that was published last before it:
-    the same run gives the same times. The publish time always is wall time.
 """
 
 import signal
-import struct
 import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -36,6 +30,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS
@@ -47,6 +42,7 @@ HOLD = 0.1
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
 
+QUANTITIES = [f"controller/debug/{name}" for name in ros.DEBUG_QUANTITIES]
 CONTRACT: dict[str, Any] = {
     ros.CLOCK: ClockMessage,
     ros.ODOM: Odometry,
@@ -56,7 +52,7 @@ CONTRACT: dict[str, Any] = {
     ros.STEERING_STATE: JointState,
     ros.WIND: Vector3Stamped,
     ros.DIAGNOSTICS: DiagnosticArray,
-    **{f"controller/debug/{name}": Float64 for name in ros.DEBUG_QUANTITIES},
+    **dict.fromkeys(QUANTITIES, Float64),
 }
 LATCHED_EVERYTHING = QoSProfile(
     depth=0,
@@ -69,17 +65,6 @@ WHATEVER = QoSProfile(
     depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
 )
 """The recorder, where a publisher offers less, such as a sensor of a car."""
-
-
-class Arrival(NamedTuple):
-    """A serialised message that has come in."""
-
-    publish_ns: int
-    """Wall time of publishing [ns]."""
-    receive_ns: int
-    """Wall time of reception [ns]."""
-    topic: str
-    data: bytes
 
 
 class Recorder(Node):
@@ -96,12 +81,16 @@ class Recorder(Node):
         if not output:
             raise ValueError("parameter 'output' must name the folder of the bag")
         further = self.parameter("topics", [""], "Further topics to record, each as name:type.")
-        self.simulated = bool(self.get_parameter("use_sim_time").value)
-        self.arrivals: list[Arrival] = []
+        self.arrivals = Arrivals(
+            simulated=bool(self.get_parameter("use_sim_time").value),
+            clock=self.resolve_topic_name(ros.CLOCK),
+            command=self.resolve_topic_name(ros.STEERING_COMMAND),
+            quantities={self.resolve_topic_name(name) for name in QUANTITIES},
+        )
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
         self.first_numbers: dict[str, int] = {}
-        self.clock_ns = self.lost = 0
+        self.lost = 0
         self.awaited_ns = sys.maxsize
         self.heard = time.monotonic()
         for name, message_type in {**CONTRACT, **parse_topics(further)}.items():
@@ -145,7 +134,7 @@ class Recorder(Node):
         """Keep a message until it is written."""
         self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
         arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
-        self.arrivals.append(arrival)
+        self.arrivals.add(arrival)
         if arrival.publish_ns < self.awaited_ns:
             self.heard = time.monotonic()
 
@@ -155,23 +144,22 @@ class Recorder(Node):
 
     def on_timer(self) -> None:
         """Write what has waited long enough, and adapt to publishers that offer less."""
-        self.write_before(time.time_ns() - int(HOLD * NANOSECONDS))
+        until_ns = time.time_ns() - int(HOLD * NANOSECONDS)
+        for arrival, log_time_ns in self.arrivals.take_before(until_ns):
+            self.write(arrival, log_time_ns)
         self.recording.flush()
         for topic in self.refused:
-            self.get_logger().warning(f"{topic}: a publisher is not reliable or keeps no history")
-            subscription = self.inputs[topic]
-            self.destroy_subscription(subscription)
-            self.listen(topic, subscription.msg_type, WHATEVER)
+            self.get_logger().warning(f"{topic}: asking for less, as a publisher offers less")
+            self.listen_for_less(self.inputs[topic])
         self.refused.clear()
 
-    def write_before(self, limit_ns: int) -> None:
-        """Write what was received before a wall time [ns], in the order of publishing."""
-        ready = sorted(arrival for arrival in self.arrivals if arrival.receive_ns < limit_ns)
-        self.arrivals = [arrival for arrival in self.arrivals if arrival.receive_ns >= limit_ns]
-        for arrival in ready:
-            self.write(arrival)
+    def listen_for_less(self, refused: Subscription) -> None:
+        """Subscribe anew, without history, or where that was too much, without reliability."""
+        latched = refused.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        self.listen(refused.topic_name, refused.msg_type, ros.EVERYTHING if latched else WHATEVER)
+        self.destroy_subscription(refused)
 
-    def write(self, arrival: Arrival) -> None:
+    def write(self, arrival: Arrival, log_time_ns: int) -> None:
         """Write one message, the first of a topic together with its quality of service."""
         topic = arrival.topic
         if topic not in self.recording.topics:
@@ -180,21 +168,12 @@ class Recorder(Node):
             subscription = self.inputs[topic]
             type_name = type_name_of(subscription.msg_type)
             self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
-        self.recording.write(topic, arrival.data, self.log_time(arrival), arrival.publish_ns)
-
-    def log_time(self, arrival: Arrival) -> int:
-        """Give the log time of a message, as the head of this file says [ns]."""
-        if not self.simulated:
-            return arrival.receive_ns
-        message_type = self.inputs[arrival.topic].msg_type
-        stamp_ns = stamp(arrival.data) if has_stamp(message_type) else 0
-        if message_type is ClockMessage:
-            self.clock_ns = stamp_ns
-        return stamp_ns or self.clock_ns
+        self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
 
     def close(self) -> None:
         """Write the rest, close the bag, and say what is in it."""
-        self.write_before(sys.maxsize)
+        for arrival, log_time_ns in self.arrivals.take_all_before(sys.maxsize):
+            self.write(arrival, log_time_ns)
         self.recording.close()
         bag = self.recording
         missed = sum(number - 1 for number in self.first_numbers.values())
@@ -214,19 +193,6 @@ def parse_topics(items: list[str]) -> dict[str, Any]:
     """
     pairs = [item.partition(":") for item in items if item]
     return {name: message_class(type_name) for name, _, type_name in pairs}
-
-
-def has_stamp(message_type: Any) -> bool:
-    """Tell whether a message begins with a time."""
-    first = next(iter(message_type.get_fields_and_field_types().values()), "")
-    return first in ("std_msgs/Header", "builtin_interfaces/Time")
-
-
-def stamp(data: bytes) -> int:
-    """Give the time at the beginning of a serialised message [ns]."""
-    order = "<" if data[1] & 1 else ">"
-    seconds, nanoseconds = struct.unpack_from(order + "iI", data, 4)
-    return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
 def record(recorder: Recorder, signals: list[int]) -> None:

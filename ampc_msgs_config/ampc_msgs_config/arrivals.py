@@ -1,0 +1,87 @@
+"""In which order, and at which times, messages that have come in go into a bag.
+
+In real time the log time of a message is the time of its reception. In simulated time it is the
+`/clock` that was published last before it, or the first one for what came earlier; a quantity of
+the controller gets the stamp of the command that was published last before it. So the same run
+gives the same times.
+"""
+
+import struct
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+from ampc_msgs_config.types import NANOSECONDS
+
+
+class Arrival(NamedTuple):
+    """A serialised message that has come in."""
+
+    publish_ns: int
+    """Wall time of publishing [ns]."""
+    receive_ns: int
+    """Wall time of reception [ns]."""
+    topic: str
+    """Full name."""
+    data: bytes
+    """The message as CDR."""
+
+
+class Arrivals:
+    """Keeps messages until those that were published before them have come in too."""
+
+    def __init__(
+        self, *, simulated: bool, clock: str, command: str, quantities: Collection[str]
+    ) -> None:
+        """Start empty.
+
+        Args:
+            simulated: Whether log times are simulated times.
+            clock: Full name of the topic of the clock.
+            command: Full name of the topic of the command.
+            quantities: Full names of the topics that describe the command published before.
+        """
+        self.simulated, self.clock, self.command = simulated, clock, command
+        self.quantities = quantities
+        self.waiting: list[Arrival] = []
+        self.clock_ns = self.command_ns = 0
+
+    def add(self, arrival: Arrival) -> None:
+        """Keep a message."""
+        self.waiting.append(arrival)
+
+    def take_before(self, limit_ns: int) -> Iterator[tuple[Arrival, int]]:
+        """Give what was received before a wall time [ns], in the order of publishing.
+
+        Returns:
+            Messages and their log times [ns]; none while the simulated clock has not started.
+        """
+        early = (item for item in self.waiting if item.receive_ns < limit_ns)
+        started = self.clock_ns or any(item.topic == self.clock for item in early)
+        if started or not self.simulated:
+            yield from self.take_all_before(limit_ns)
+
+    def take_all_before(self, limit_ns: int) -> Iterator[tuple[Arrival, int]]:
+        """Do the same, with log time 0 where the simulated clock has not started."""
+        ready = sorted(item for item in self.waiting if item.receive_ns < limit_ns)
+        self.waiting = [item for item in self.waiting if item.receive_ns >= limit_ns]
+        clocks = (stamp(item.data) for item in ready if item.topic == self.clock)
+        self.clock_ns = self.clock_ns or next(clocks, 0)
+        for arrival in ready:
+            yield arrival, self.log_time(arrival)
+
+    def log_time(self, arrival: Arrival) -> int:
+        """Give the log time of the next message, as the head of this file says [ns]."""
+        if not self.simulated:
+            return arrival.receive_ns
+        if arrival.topic == self.clock:
+            self.clock_ns = stamp(arrival.data)
+        if arrival.topic == self.command:
+            self.command_ns = stamp(arrival.data)
+        return (self.command_ns if arrival.topic in self.quantities else 0) or self.clock_ns
+
+
+def stamp(data: bytes) -> int:
+    """Give the time at the beginning of a serialised message [ns]."""
+    order = "<" if data[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(order + "iI", data, 4)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
