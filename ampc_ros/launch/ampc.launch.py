@@ -1,6 +1,6 @@
 """Starts simulator, planner and controller, and a recording on request.
 
-``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 record:=runs/sc2`` drives a scenario in
+``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 output:=runs/sc2`` drives a scenario in
 lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out.
 """
 
@@ -24,7 +24,7 @@ ARGUMENTS = {
     "time_out": ("60.0", "wait for a command in lock-step, also while nodes compile [s]"),
     "namespace": ("", "namespace of the nodes and of their topics"),
     "simulate": ("true", "start the simulator; false where a real car drives"),
-    "record": ("", "new folder for a recording; empty for none"),
+    "output": ("", "new folder for a recording; empty for none"),
 }
 TYPES = {"speed": float, "time_out": float, "lock_step": bool}
 DRIVE = ("vehicle", "scenario", "path", "speed", "lock_step")
@@ -36,22 +36,13 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=value, description=description)
         for name, (value, description) in ARGUMENTS.items()
     ]
-    follows_clock = {"use_sim_time": argument("lock_step")}
     simulate = IfCondition(LaunchConfiguration("simulate"))
-    record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("record"), ""))
-    control = ("vehicle", "controller", "gain_table", "lock_step")
+    record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("output"), ""))
     nodes = [
-        node(
-            "sim_vehicle",
-            "simulator",
-            [arguments_of((*DRIVE, "time_out")), follows_clock],
-            simulate,
-        ),
-        node("ampc_ros", "planner", [arguments_of(DRIVE), follows_clock]),
-        node("ampc_ros", "controller", [arguments_of(control), follows_clock]),
-        node(
-            "ampc_msgs_config", "recorder", [{"output": argument("record")}, follows_clock], record
-        ),
+        node("sim_vehicle", "simulator", (*DRIVE, "time_out"), simulate),
+        node("ampc_ros", "planner", DRIVE),
+        node("ampc_ros", "controller", ("vehicle", "controller", "gain_table", "lock_step")),
+        node("ampc_msgs_config", "recorder", ("output",), record),
     ]
     together = [
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
@@ -60,28 +51,25 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, *together, *nodes])
 
 
-def argument(name: str) -> ParameterValue:
-    """A launch argument as a node's parameter."""
-    return ParameterValue(LaunchConfiguration(name), value_type=TYPES.get(name, str))
-
-
-def arguments_of(names: tuple[str, ...]) -> dict[str, ParameterValue]:
-    """Launch arguments as parameters of the same names."""
-    return {name: argument(name) for name in names}
-
-
 def node(
     package: str,
     executable: str,
-    parameters: list[dict[str, ParameterValue]],
+    names: tuple[str, ...],
     condition: IfCondition | UnlessCondition | None = None,
 ) -> Node:
-    """A node in the chosen namespace, its log on the screen."""
+    """A node whose parameters are the launch arguments of these names; lock-step simulates time."""
+    parameters = {name: argument(name) for name in names}
+    parameters["use_sim_time"] = argument("lock_step")
     return Node(
         package=package,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
-        parameters=parameters,
+        parameters=[parameters],
         condition=condition,
         output="screen",
     )
+
+
+def argument(name: str) -> ParameterValue:
+    """A launch argument as the value of a parameter."""
+    return ParameterValue(LaunchConfiguration(name), value_type=TYPES.get(name, str))
