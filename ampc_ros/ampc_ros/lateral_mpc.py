@@ -12,10 +12,11 @@ from ampc_msgs_config.path import Path, Progress
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
 from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
 from ampc_ros.gain_table import GainTable, Gains
+from ampc_ros.hildreth import hildreth
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
 from ampc_ros.prediction import predict, quadratic_cost
-from ampc_ros.qp import Qp, QpSolution, active_set, hildreth
+from ampc_ros.qp import Qp, QpSolution, active_set
 from ampc_msgs_config.path_frame import path_frame
 from ampc_ros.small_matrices import apply, dot
 
