@@ -1,43 +1,29 @@
 """Bags: written as rosbag2 does, read by others, never overwritten, and they survive a kill."""
 
 import re
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu
-from std_msgs.msg import Float64
 
-from ampc_msgs_config import ros
-from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.bag import Entry, is_complete, read
-from ampc_msgs_config.message_types import define, message_class, type_name_of
+from ampc_msgs_config.message_types import define, type_name_of
 from ampc_msgs_config.recorder_node import CONTRACT
 from ampc_msgs_config.recording import Recording
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS
+from tests.bag_samples import TICK_NS, full, read_with_rosbags, wait_for, write_bag
 
-TICK_NS = NANOSECONDS // 10
-TICKS = 200
 WRITER = """
 import sys, time
 from pathlib import Path
@@ -53,57 +39,6 @@ for number in range(10**9):
     recording.write("/count", data, time.time_ns(), time.time_ns())
     time.sleep(0.001)
 """
-
-
-def sample(name: str, stamp_ns: int) -> Any:
-    """Gives a message for a topic of the contract, with content in every kind of field."""
-    if name == ros.ODOM:
-        state = VehicleState(stamp_ns, x=1.5, y=-0.1, yaw=0.3, v_x=9.0, v_y=0.01, yaw_rate=-0.2)
-        return ros.odometry_message(state)
-    if name == ros.REFERENCE_PATH:
-        return ros.path_message(np.outer(np.arange(300), (0.1, -0.2)), stamp_ns)
-    if name == ros.TARGET_SPEED:
-        return ros.speed_message(ros.Stamped(stamp_ns, 8.333))
-    if name == ros.STEERING_COMMAND:
-        command = ros.steering_message(Command(stamp_ns, 0.1 + 1e-17, -0.5, Diagnosis()))
-        command.effort = [0.0]
-        return command
-    if name == ros.STEERING_STATE:
-        joint = ros.joint_message(stamp_ns, 0.05, float("inf"))
-        joint.effort = [-0.0]
-        return joint
-    if name == ros.WIND:
-        return ros.wind_message(stamp_ns, (-0.0, 5e-324))
-    if name == ros.CLOCK:
-        return Clock(clock=ros.time_message(stamp_ns))
-    if name == ros.DIAGNOSTICS:
-        values = [KeyValue(key="Größe", value="µ = 0.9"), KeyValue()]
-        status = DiagnosticStatus(level=b"\x01", name="controller", values=values)
-        diagnostics = DiagnosticArray(status=[status, DiagnosticStatus()])
-        diagnostics.header.stamp = ros.time_message(stamp_ns)
-        return diagnostics
-    return Float64(data=stamp_ns / TICK_NS)
-
-
-def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
-    """Writes samples of all topics, a chunk a tick; gives them and their bytes."""
-    entries, data = [], []
-    with Recording(folder) as recording:
-        for name, message_type in CONTRACT.items():
-            qos = ros.LATCHED if name == ros.REFERENCE_PATH else ros.RELIABLE
-            recording.add_topic(full(name), type_name_of(message_type), [qos])
-        for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
-            for name in CONTRACT:
-                entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns)))
-                data.append(serialize_message(entries[-1].message))
-                recording.write(full(name), data[-1], stamp_ns, stamp_ns)
-            recording.flush()
-    return entries, data
-
-
-def full(name: str) -> str:
-    """Gives the full name of a topic in the root namespace."""
-    return "/" + name.lstrip("/")
 
 
 def test_every_message_of_the_contract_comes_back(tmp_path: Path) -> None:
@@ -129,18 +64,6 @@ def test_mcap_finds_the_same_bytes_through_its_index(tmp_path: Path) -> None:
     assert [channel.topic for _, channel, _ in records] == [entry.topic for entry in entries]
     assert [message.log_time for _, _, message in records] == [e.log_time_ns for e in entries]
     assert [message.data for _, _, message in records] == data
-
-
-def read_with_rosbags(bag: Path) -> list[Entry]:
-    """Reads a bag with the library rosbags and the definitions in the bag."""
-    found = []
-    with AnyReader([bag]) as reader:
-        for link, time_ns, data in reader.messages():
-            message = reader.deserialize(data, link.msgtype)
-            again = bytes(reader.typestore.serialize_cdr(message, link.msgtype))
-            ros_message = deserialize_message(again, message_class(link.msgtype))
-            found.append(Entry(link.topic, time_ns, ros_message))
-    return found
 
 
 def test_rosbags_reads_the_same_content(tmp_path: Path) -> None:
@@ -254,157 +177,3 @@ def test_topics_of_types_that_are_not_installed_are_skipped(tmp_path: Path) -> N
             writer.add_message(channel, 1, serialize_message(Odometry()), 1)
         writer.finish()
     assert list(read(tmp_path)) == [Entry("/nav_m", 1, Odometry())]
-
-
-def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times() -> None:
-    arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities={"/slack"})
-    data = {tick: serialize_message(sample(ros.CLOCK, tick * TICK_NS)) for tick in (7, 8)}
-    for publish_ns, topic, tick in [
-        (5, "/clock", 8),
-        (4, "/slack", 0),
-        (3, "/command", 7),
-        (2, "/clock", 7),
-        (1, "/path", 0),
-        (7, "/odom", 0),
-        (6, "/slack", 0),
-    ]:
-        assert not list(arrivals.take_before(99))
-        arrivals.add(Arrival(publish_ns, 99, topic, data.get(tick, b"")))
-    expected = ["/path 7", "/clock 7", "/command 7", "/slack 7", "/clock 8", "/slack 7", "/odom 8"]
-    taken = arrivals.take_before(100)
-    assert [f"{arrival.topic} {time_ns // TICK_NS}" for arrival, time_ns in taken] == expected
-    assert not list(arrivals.take_before(100))
-
-
-def test_messages_without_a_clock_are_kept_until_the_end() -> None:
-    arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities=())
-    arrivals.add(Arrival(1, 2, "/path", b""))
-    assert not list(arrivals.take_before(3))
-    assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
-
-
-@contextmanager
-def talker() -> Iterator[Node]:
-    """Gives a node of this process that publishes."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node: Any = rclpy.create_node("talker", context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
-
-
-def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder."""
-    command = [sys.executable, "-m", "ampc_msgs_config.recorder_node", "--ros-args"]
-    for parameter in parameters:
-        command += ["-p", parameter]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-
-
-def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder; gives its process once it is ready."""
-    process = popen_recorder(f"output:={bag}", *parameters)
-    wait_for((bag / "metadata.yaml").exists)
-    return process
-
-
-def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
-    """Ends a process by a signal; gives its exit code and all that it said."""
-    process.send_signal(number)
-    said, _ = process.communicate(timeout=10)
-    return process.returncode, said
-
-
-def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Waits until a condition holds, and gives the time when it did [s]."""
-    limit = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-    return time.time()
-
-
-def advertise(node: Node) -> dict[str, Publisher]:
-    """Gives a publisher for each topic of the contract."""
-    latched = {ros.REFERENCE_PATH: ros.LATCHED}
-    return {
-        name: node.create_publisher(message_type, name, latched.get(name, ros.EVERYTHING))
-        for name, message_type in CONTRACT.items()
-    }
-
-
-def publish_fast(publishers: dict[str, Publisher]) -> None:
-    """Publishes 500 ticks a second, 50 times as fast as the clock that is published with them."""
-    wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
-    due = time.monotonic()
-    for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):
-        for name, publisher in publishers.items():
-            if name != ros.REFERENCE_PATH:
-                publisher.publish(sample(name, stamp_ns))
-        due += 0.002
-        time.sleep(max(0.0, due - time.monotonic()))
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_recorder_loses_nothing_and_ends_cleanly(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    with talker() as node:
-        publishers = advertise(node)
-        publishers[ros.REFERENCE_PATH].publish(sample(ros.REFERENCE_PATH, TICK_NS))
-        recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
-        publish_fast(publishers)
-        code, said = stop(recorder, number)
-    found = list(read(tmp_path / "bag"))
-    assert read_with_rosbags(tmp_path / "bag") == found
-    path = Entry(full(ros.REFERENCE_PATH), TICK_NS, sample(ros.REFERENCE_PATH, TICK_NS))
-    assert [entry for entry in found if entry.topic == path.topic] == [path]
-    assert [entry for entry in found if entry.topic != path.topic] == [
-        Entry(full(name), stamp_ns, sample(name, stamp_ns))
-        for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS)
-        for name in CONTRACT
-        if name != ros.REFERENCE_PATH
-    ]
-    assert code == 0
-    assert said.count("recording to") == 1
-    assert f"recorded {len(found)} messages on {len(CONTRACT)} topics" in said
-    assert ", 0 missed at the start, 0 lost:" in said
-
-
-def test_the_recorder_keeps_receive_times_and_offers_of_a_car(tmp_path: Path) -> None:
-    with talker() as node:
-        odom = node.create_publisher(Odometry, ros.ODOM, ros.NEWEST)
-        path = node.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.RELIABLE)
-        imu = node.create_publisher(Imu, "imu", ros.NEWEST)
-        recorder = start_recorder(tmp_path / "bag", "topics:=['imu:sensor_msgs/msg/Imu']")
-        wait_for(lambda: all(p.get_subscription_count() for p in (odom, path, imu)))
-        before_ns = time.time_ns()
-        odom.publish(sample(ros.ODOM, TICK_NS))
-        path.publish(sample(ros.REFERENCE_PATH, TICK_NS))
-        imu.publish(Imu())
-        code, _ = stop(recorder, signal.SIGINT)
-    found = {entry.topic: entry.log_time_ns for entry in read(tmp_path / "bag")}
-    assert code == 0
-    assert found.keys() == {"/odom", "/reference_path", "/imu"}
-    assert all(before_ns < time_ns < time.time_ns() for time_ns in found.values())
-    with Reader(tmp_path / "bag") as reader:
-        offers: dict[str, Any] = {link.topic: link.ext for link in reader.connections}
-    assert offers["/odom"].offered_qos_profiles[0].reliability is QosReliability.BEST_EFFORT
-    assert offers["/reference_path"].offered_qos_profiles[0].durability is QosDurability.VOLATILE
-
-
-def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:
-    write_bag(tmp_path, ticks=1)
-    complaints = {
-        "output:=''": "parameter 'output' must name the folder of the bag",
-        f"output:={tmp_path}": f"{tmp_path}: holds a bag already, and bags are never overwritten",
-        "topics:=['imu:x/msg/Imu']": "x/msg/Imu: this message type is not installed",
-    }
-    recorders = {
-        parameter: popen_recorder("output:=elsewhere", parameter) for parameter in complaints
-    }
-    for parameter, complaint in complaints.items():
-        said, _ = recorders[parameter].communicate(timeout=20)
-        assert recorders[parameter].returncode == 1
-        assert said == f"recorder: {complaint}\n"

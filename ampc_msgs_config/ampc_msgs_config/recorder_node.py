@@ -1,4 +1,4 @@
-"""Node `recorder`: writes every topic of the contract to a bag, and loses nothing.
+"""Node `recorder`: writes every topic of the contract to a bag, and counts what it did not get.
 
 It says `recording to <folder>` when all of its subscriptions stand; from then on `metadata.yaml`
 lies in the folder. SIGINT and SIGTERM end it, after all that was published before has come in.
@@ -35,9 +35,9 @@ from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS
 
-WRITE_PERIOD = 0.4
+WRITE_PERIOD = 0.3
 """Wall time between two batches [s]."""
-HOLD = 0.1
+HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""

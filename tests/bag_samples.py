@@ -1,0 +1,94 @@
+"""Messages for every topic of the contract, and bags of them."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.bag import Entry
+from ampc_msgs_config.message_types import message_class, type_name_of
+from ampc_msgs_config.recorder_node import CONTRACT
+from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+
+TICK_NS = NANOSECONDS // 10
+
+
+def sample(name: str, stamp_ns: int) -> Any:
+    """Gives a message for a topic of the contract, with content in every kind of field."""
+    if name == ros.ODOM:
+        state = VehicleState(stamp_ns, x=1.5, y=-0.1, yaw=0.3, v_x=9.0, v_y=0.01, yaw_rate=-0.2)
+        return ros.odometry_message(state)
+    if name == ros.REFERENCE_PATH:
+        return ros.path_message(np.outer(np.arange(300), (0.1, -0.2)), stamp_ns)
+    if name == ros.TARGET_SPEED:
+        return ros.speed_message(ros.Stamped(stamp_ns, 8.333))
+    if name == ros.STEERING_COMMAND:
+        command = ros.steering_message(Command(stamp_ns, 0.1 + 1e-17, -0.5, Diagnosis()))
+        command.effort = [0.0]
+        return command
+    if name == ros.STEERING_STATE:
+        joint = ros.joint_message(stamp_ns, 0.05, float("inf"))
+        joint.effort = [-0.0]
+        return joint
+    if name == ros.WIND:
+        return ros.wind_message(stamp_ns, (-0.0, 5e-324))
+    if name == ros.CLOCK:
+        return Clock(clock=ros.time_message(stamp_ns))
+    if name == ros.DIAGNOSTICS:
+        values = [KeyValue(key="Größe", value="µ = 0.9"), KeyValue()]
+        status = DiagnosticStatus(level=b"\x01", name="controller", values=values)
+        diagnostics = DiagnosticArray(status=[status, DiagnosticStatus()])
+        diagnostics.header.stamp = ros.time_message(stamp_ns)
+        return diagnostics
+    return Float64(data=stamp_ns / TICK_NS)
+
+
+def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
+    """Writes samples of all topics, a chunk a tick; gives them and their bytes."""
+    entries, data = [], []
+    with Recording(folder) as recording:
+        for name, message_type in CONTRACT.items():
+            qos = ros.LATCHED if name == ros.REFERENCE_PATH else ros.RELIABLE
+            recording.add_topic(full(name), type_name_of(message_type), [qos])
+        for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
+            for name in CONTRACT:
+                entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns)))
+                data.append(serialize_message(entries[-1].message))
+                recording.write(full(name), data[-1], stamp_ns, stamp_ns)
+            recording.flush()
+    return entries, data
+
+
+def full(name: str) -> str:
+    """Gives the full name of a topic in the root namespace."""
+    return "/" + name.lstrip("/")
+
+
+def read_with_rosbags(bag: Path) -> list[Entry]:
+    """Reads a bag with the library rosbags and the definitions in the bag."""
+    found = []
+    with AnyReader([bag]) as reader:
+        for link, time_ns, data in reader.messages():
+            message = reader.deserialize(data, link.msgtype)
+            again = bytes(reader.typestore.serialize_cdr(message, link.msgtype))
+            ros_message = deserialize_message(again, message_class(link.msgtype))
+            found.append(Entry(link.topic, time_ns, ros_message))
+    return found
+
+
+def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
+    """Waits until a condition holds, and gives the time when it did [s]."""
+    limit = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    return time.time()
