@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
+from ampc_ros.small_matrices import put
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,8 @@ def with_slack(E: Array, K: Array, weight: float) -> tuple[Array, Array]:
     """Cost in [eta, slack]: E (N + 1, N + 1) and K (N + 1,), with weight * slack^2 added."""
     N = len(K)
     E_slack, K_slack = np.zeros((N + 1, N + 1)), np.zeros(N + 1)
-    E_slack[:N, :N] = E
+    for i in range(N):
+        put(E_slack[i], E[i])
     E_slack[N, N] = 2 * weight
-    K_slack[:N] = K
+    put(K_slack, K)
     return E_slack, K_slack

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import apply
+from ampc_ros.small_matrices import apply, put
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def network(alpha: float, N: int) -> tuple[Array, Array]:
 
 @compiled
 def laguerre_sequence(alpha: float, N: int, steps: int) -> Array:
-    """L(0)' .. L(steps - 1)' as rows, (steps, N), so that Delta u(k + i) = row i times eta, Eq. (24).
+    """L(0)' .. L(steps - 1)' as rows, (steps, N): Delta u(k + i) = row i times eta, Eq. (24).
 
     Note:
         Eq. (24) prints i = 1 .. N_c. The move applied now is L(0)' eta, so i = 0 .. N_c - 1.
@@ -40,6 +40,6 @@ def laguerre_sequence(alpha: float, N: int, steps: int) -> Array:
     A_l, L_i = network(alpha, N)
     L = np.empty((steps, N))
     for i in range(steps):
-        L[i] = L_i
+        put(L[i], L_i)
         L_i = apply(A_l, L_i)
     return L

@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path, Progress
+from ampc_msgs_config.path_frame import path_frame
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
 from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
-from ampc_ros.gain_table import GainTable, Gains
+from ampc_ros.gain_table import Gains, GainTable
 from ampc_ros.hildreth import hildreth
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
 from ampc_ros.prediction import predict, quadratic_cost
 from ampc_ros.qp import Qp, QpSolution, active_set
-from ampc_msgs_config.path_frame import path_frame
 from ampc_ros.small_matrices import apply, dot
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """[m/s^2]"""
-FRICTION_SHARE = 0.9
+FRICTION_SHARE = 1.15
 """Share of the friction that the bound of the angle lets the tyres use."""
 MAX_CONDITION = 1e12
-"""Condition number of E above which a gain set is refused: the exact solver would lose its digits."""
+"""Condition number of E above which a gain set is refused: the solver would lose its digits."""
 
 
 class Limits(NamedTuple):
@@ -61,7 +61,9 @@ def problem(vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick) -> Qp:
     A, B = augment(A_k, B_k)
     L = laguerre_sequence(alpha, N, N_c)
     F, Phi = predict(A, B, L, N_p)
-    error = tick.r - apply(F, tick.x)
+    error = apply(F, tick.x)
+    for i in range(N_p):
+        error[i] = tick.r - error[i]
     E, K = quadratic_cost(Phi, error, L, Q, R)
     h, s = 4 * N_c, output_steps(N_p, N_c, limits.half_width)
     if s > 0:

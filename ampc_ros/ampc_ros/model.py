@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import product
+from ampc_ros.small_matrices import product, put
 
 Array = NDArray[np.float64]
 Vehicle = tuple[float, float, float, float, float, float]
@@ -43,17 +43,18 @@ def lateral_dynamics(vehicle: Vehicle, v_x: float) -> tuple[Array, Array]:
 def matrix_exponential(A: Array) -> Array:
     """e^A of a small matrix (n, n): Taylor series of order 12 after scaling, then squaring."""
     n, halvings, norm = len(A), 0, 0.0
-    for i in range(n):
-        for j in range(n):
-            norm += abs(A[i, j])
+    for a in A.flat:
+        norm += abs(a)
     while norm > 0.5:
         norm /= 2
         halvings += 1
-    scaled = A / 2.0**halvings
     term, result = np.eye(n), np.eye(n)
     for k in range(1, 13):
-        term = product(term, scaled) / k
-        result += term
+        term = product(term, A)
+        for i in range(n):
+            for j in range(n):
+                term[i, j] /= k * 2.0**halvings
+                result[i, j] += term[i, j]
     for _ in range(halvings):
         result = product(result, result)
     return result
@@ -69,8 +70,10 @@ def zero_order_hold(A_c: Array, B_c: Array, T: float) -> tuple[Array, Array]:
     """
     n = len(A_c)
     block = np.zeros((n + 1, n + 1))
-    block[:n, :n] = A_c * T
-    block[:n, n] = B_c * T
+    for i in range(n):
+        block[i, n] = B_c[i] * T
+        for j in range(n):
+            block[i, j] = A_c[i, j] * T
     exponential = matrix_exponential(block)
     return exponential[:n, :n].copy(), exponential[:n, n].copy()
 
@@ -85,9 +88,9 @@ def augment(A_k: Array, B: Array) -> tuple[Array, Array]:
     """
     n = len(A_k)
     A, B_augmented = np.zeros((n + 1, n + 1)), np.empty(n + 1)
-    A[:n, :n] = A_k
-    A[n, :n] = A_k[n - 1]
+    for i in range(n + 1):
+        k = min(i, n - 1)
+        put(A[i], A_k[k])
+        B_augmented[i] = B[k]
     A[n, n] = 1.0
-    B_augmented[:n] = B
-    B_augmented[n] = B[n - 1]
     return A, B_augmented

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import apply_transposed, gram, product
+from ampc_ros.small_matrices import apply_transposed, gram, product, put
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ def predict(A: Array, B: Array, L: Array, N_p: int) -> tuple[Array, Array]:
         response = product(A, response)
         if i < len(L):
             add_outer(response, B, L[i])
-        F[i] = row
-        Phi[i] = response[n - 1]
+        put(F[i], row)
+        put(Phi[i], response[n - 1])
     return F, Phi
 
 
@@ -60,6 +60,9 @@ def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tu
         Truncation at N_c spoils the orthonormality of Eqs. (19)-(20), so the increments are
         weighted with sum L(i) L(i)', not with the identity on eta.
     """
-    E = 2 * (Q * gram(Phi) + R * gram(L))
-    K = -2 * Q * apply_transposed(Phi, error)
+    E, R_term, K = gram(Phi), gram(L), apply_transposed(Phi, error)
+    for i in range(len(K)):
+        K[i] *= -2 * Q
+        for j in range(len(K)):
+            E[i, j] = 2 * (Q * E[i, j] + R * R_term[i, j])
     return E, K
