@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """[m/s^2]"""
-FRICTION_SHARE = 1.15
+FRICTION_SHARE = 0.9
 """Share of the friction that the bound of the angle lets the tyres use."""
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the solver would lose its digits."""
