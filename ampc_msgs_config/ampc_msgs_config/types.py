@@ -7,6 +7,9 @@ left; `map` is fixed, `base_link` is the centre of the rear axle unless a parame
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 NANOSECONDS = 1_000_000_000
 
 
@@ -29,6 +32,17 @@ class VehicleState(NamedTuple):
     """Yaw rate [rad/s]."""
 
 
+MODES = (
+    "tracking",
+    "standstill: the steering holds",
+    "beyond the end of the path: straight on",
+    "driving backwards is not supported: the steering holds",
+    "the path leads the other way: the steering holds",
+)
+"""What `Diagnosis.mode` counts; only the first two are in order."""
+TRACKING, STANDSTILL, PATH_END, REVERSE, WRONG_WAY = range(len(MODES))
+
+
 class Diagnosis(NamedTuple):
     """What a controller can say about one step; each field is one debug topic."""
 
@@ -36,6 +50,14 @@ class Diagnosis(NamedTuple):
     """Signed distance of the centre of gravity from the path, positive to its left [m]."""
     heading_error: float = math.nan
     """Heading minus the path's heading [rad]."""
+    curvature: float = math.nan
+    """Of the path at the car [1/m]."""
+    feed_forward: float = math.nan
+    """Steady-state angle of that curvature [rad]."""
+    disturbance: float = 0.0
+    """Lateral acceleration that the model does not explain: wind, bank, its own errors [m/s^2]."""
+    mode: float = TRACKING
+    """Index in MODES."""
     active_constraints: float = 0.0
     """Number of constraint rows that hold with equality in the solution."""
     slack: float = 0.0
@@ -70,6 +92,8 @@ class Command(NamedTuple):
     steering_rate: float
     """Rate at which the angle is to be reached [rad/s]."""
     diagnosis: Diagnosis
+    prediction: NDArray[np.float64] | None = None
+    """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
 
 
 def wrap_angle(angle: float) -> float:

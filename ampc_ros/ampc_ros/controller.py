@@ -18,6 +18,7 @@ CONTROLLERS = {
     "classic": "the same MPC with its model fixed at a nominal speed",
     "pure_pursuit": "geometric baseline on the rear axle",
 }
+DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
 CLASSIC_SPEED = 9.0
 """Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
 
@@ -40,10 +41,11 @@ class Controller(Protocol):
 class Choices(NamedTuple):
     """What a user chooses, by shipped names or files."""
 
-    controller: str = "paper"
+    controller: str = "preview"
     vehicle: str = "paper"
     settings: str = "table3"
-    gain_table: str = "table3"
+    gain_table: str = ""
+    """Empty: the one that belongs to the controller."""
     base_link_to_cg: float | None = None
     """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
 
@@ -63,7 +65,7 @@ def make_controller(choices: Choices) -> Controller:
         raise ValueError(f"controller = {choices.controller!r} must be one of {known}")
     if choices.controller == "classic":
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
-    table = load_gain_table(choices.gain_table)
+    table = load_gain_table(choices.gain_table or DEFAULT_TABLES[choices.controller])
     if choices.controller == "preview":
         steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
         return PreviewMpc(chassis, steering, settings, table, choices.base_link_to_cg)

@@ -14,7 +14,7 @@ from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance
 from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
 from ampc_ros.gain_table import Gains, GainTable
 from ampc_ros.hildreth import hildreth
-from ampc_ros.laguerre import laguerre_sequence
+from ampc_ros.laguerre import laguerre_sequence, network
 from ampc_ros.model import Vehicle, augment, lateral_dynamics, zero_order_hold
 from ampc_ros.prediction import predict, quadratic_cost
 from ampc_ros.qp import Qp, QpSolution, active_set
@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """[m/s^2]"""
-FRICTION_SHARE = 0.9
-"""Share of the friction that the bound of the angle lets the tyres use."""
+FRICTION_SHARE = 1.3
+"""Lateral acceleration whose LINEAR angle is the bound, as a share of the friction: the tyre's curve
+flattens towards its peak, which lies at about this multiple of the angle of a linear tyre."""
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the solver would lose its digits."""
 
@@ -96,7 +97,7 @@ def plan(
     """
     solution = solve(problem(vehicle, gains, limits, tick), limits)
     N = gains.laguerre_terms
-    L_0 = laguerre_sequence(gains.laguerre_pole, N, 1)[0]
+    _, L_0 = network(gains.laguerre_pole, N)
     Delta_u = dot(L_0, solution.x[:N])
     slack = solution.x[N] if len(solution.x) > N else 0.0
     bounded = min(max(Delta_u, -limits.Delta_u_max), limits.Delta_u_max)
@@ -165,9 +166,16 @@ class LateralMpc:
         tick = Tick(v_x, x, self.steering, r)
         Delta_u, active, slack, solution = plan(self.vehicle, gains, self.limits, tick)
         rate = self._steer(Delta_u if solution.converged else 0.0)
-        errors = self.progress.errors(car)
+        e_y, e_psi = self.progress.errors(car)
         diagnosis = Diagnosis(
-            *errors, active, slack, solution.iterations, solution.converged, *gains, outside
+            cross_track_error=e_y,
+            heading_error=e_psi,
+            active_constraints=active,
+            slack=slack,
+            solver_iterations=solution.iterations,
+            converged=solution.converged,
+            outside_table=outside,
+            **gains._asdict(),
         )
         return Command(car.stamp_ns, self.steering, rate, diagnosis)
 

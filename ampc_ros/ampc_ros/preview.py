@@ -7,22 +7,42 @@ import numpy as np
 
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.path import Array, Path, Progress, curvature_between, errors_at
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState, at_distance
+from ampc_msgs_config.path import Array, Path, Progress, curvature_between, errors_at, point_at
+from ampc_msgs_config.types import (
+    NANOSECONDS,
+    PATH_END,
+    REVERSE,
+    STANDSTILL,
+    TRACKING,
+    WRONG_WAY,
+    Command,
+    Diagnosis,
+    VehicleState,
+    at_distance,
+)
 from ampc_ros.gain_table import GainTable
 from ampc_ros.lateral_mpc import Limits, limits_of
 from ampc_ros.model import Vehicle
-from ampc_ros.preview_model import E_PSI, E_Y, STATES, R, V_Y, Actuator, sampled_model, steady_steering
-from ampc_ros.preview_mpc import Past, Plan, Road, preview_plan
+from ampc_ros.preview_model import (
+    DELTA,
+    STATES,
+    V_Y,
+    Actuator,
+    actuator_of,
+    sampled_model,
+    steady_steering,
+)
+from ampc_ros.preview_mpc import Past, Road, preview_plan
+from ampc_ros.qp import SOLVED
 from ampc_ros.small_matrices import apply
 
-STANDSTILL = 0.3
+HOLD_BELOW = 0.3
 """Below this speed the steering holds [m/s]."""
-REVERSE = -0.1
+REVERSE_BELOW = -0.1
 """Below this speed the car drives backwards, which this controller refuses to steer [m/s]."""
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is learnt: below it the model is not the car's [m/s]."""
-DISTURBANCE_GAIN = np.array([0.3, 0.02, 0.3, 0.02, 0.0])
+DISTURBANCE_GAIN = np.array([0.3, 0.05, 0.3, 0.05, 0.3])
 """Share of a new residual that enters the estimate in a tick, by state."""
 MAX_DISTURBANCE = np.array([3.0, 0.05, 1.5, 0.5, 0.0])
 """Largest disturbance: what is more is a skid, and no wind [unit of the state / s]."""
@@ -55,6 +75,18 @@ def road_ahead(path: Path, s: float, v_x: float, a_x: float, T: float, H: int) -
     return Road(speed, curvature)
 
 
+@compiled
+def predicted_points(path: Path, s: float, speed: Array, lateral: Array, T: float) -> Array:
+    """Where the car is expected at each step of the horizon, (H, 2) in `map` [m]."""
+    points = np.empty((len(lateral), 2))
+    for j in range(len(lateral)):
+        s += speed[j + 1] * T
+        point = point_at(path, s)
+        points[j, 0] = point.x - lateral[j] * math.sin(point.heading)
+        points[j, 1] = point.y + lateral[j] * math.cos(point.heading)
+    return points
+
+
 class PreviewMpc:
     """Adaptive MPC in path coordinates, the default."""
 
@@ -80,8 +112,7 @@ class PreviewMpc:
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
         self.period = settings.sample_time
         self.limits: Limits = limits_of(settings, steering)
-        ticks, share = divmod(steering.delay / self.period + 1e-9, 1.0)
-        self.actuator = Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.lag)
+        self.actuator: Actuator = actuator_of(steering, self.period)
         self.table = table
         self.reset()
 
@@ -93,6 +124,7 @@ class PreviewMpc:
         self.path: Path | None = None
         self.last: VehicleState | None = None
         self.expected: Array | None = None
+        self.before = 0.0
         self.delta = 0.0
         self.table.reset()
 
@@ -102,11 +134,11 @@ class PreviewMpc:
         return float(self.sent[-1])
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer one state: place on the path, disturbance, gains, road ahead, plan.
+        """Answer one state: place on the path, what the last tick taught, gains, road, plan.
 
         Args:
             state: At `base_link`.
-            path: The reference; another object is taken as another path.
+            path: The reference; another object is taken as another path, without a jump.
         """
         car = at_distance(state, self.to_cg)
         if path is not self.path:
@@ -115,8 +147,11 @@ class PreviewMpc:
         e_y, e_psi = errors_at(path, s, car)
         x = np.array([car.v_y, math.sin(e_psi), car.yaw_rate, e_y, self.delta])
         self._learn(car, x)
-        if car.v_x < STANDSTILL:
-            return self._hold(car, s, e_y, e_psi)
+        diagnosis = self._place(path, s, car, (e_y, e_psi))
+        if diagnosis.mode not in (TRACKING, PATH_END):
+            self._send(self.steering)
+            self.expected = None
+            return Command(car.stamp_ns, self.steering, 0.0, diagnosis)
         gains, outside = self.table.lookup(car.v_x)
         H = gains.prediction_horizon + self.actuator.ticks
         road = road_ahead(path, s, car.v_x, self.acceleration, self.period, H)
@@ -124,10 +159,35 @@ class PreviewMpc:
         plan = preview_plan(self.vehicle, self.actuator, gains, self.limits, past, road)
         rate = self._send(plan.steering)
         self._expect(x, road)
-        diagnosis = Diagnosis(
-            e_y, e_psi, plan.active, plan.slack, plan.iterations, plan.status == 0, *gains, outside
+        diagnosis = diagnosis._replace(
+            active_constraints=plan.active,
+            slack=plan.slack,
+            solver_iterations=plan.iterations,
+            converged=plan.status == SOLVED,
+            outside_table=outside,
+            **gains._asdict(),
         )
-        return Command(car.stamp_ns, self.steering, rate, diagnosis)
+        points = predicted_points(path, s, road.speed, plan.lateral, self.period)
+        return Command(car.stamp_ns, self.steering, rate, diagnosis, points)
+
+    def _place(
+        self, path: Path, s: float, car: VehicleState, errors: tuple[float, float]
+    ) -> Diagnosis:
+        """Say where the car is, and whether it can be steered along the path."""
+        curvature = point_at(path, s).curvature
+        mode = TRACKING if path.closed or s <= path.length else PATH_END
+        if car.v_x < HOLD_BELOW:
+            mode = STANDSTILL if car.v_x > REVERSE_BELOW else REVERSE
+        elif abs(errors[1]) > math.pi / 2:
+            mode = WRONG_WAY
+        return Diagnosis(
+            cross_track_error=errors[0],
+            heading_error=errors[1],
+            curvature=curvature,
+            feed_forward=steady_steering(self.vehicle, car.v_x, curvature),
+            disturbance=float(self.disturbance[V_Y]) / self.period,
+            mode=mode,
+        )
 
     def _learn(self, car: VehicleState, x: Array) -> None:
         """Update disturbance and acceleration by what the last tick should have brought."""
@@ -140,8 +200,9 @@ class PreviewMpc:
             return
         change = (car.v_x - last.v_x) / elapsed
         self.acceleration += ACCELERATION_GAIN * (change - self.acceleration)
-        if self.expected is not None and car.v_x > LEARN_ABOVE:
-            residual = x - self.expected
+        if self.expected is not None:
+            slow = car.v_x < LEARN_ABOVE
+            residual = np.zeros(STATES) if slow else x - self.expected
             self.disturbance += DISTURBANCE_GAIN * (residual - self.disturbance)
             bound = MAX_DISTURBANCE * self.period
             self.disturbance = np.clip(self.disturbance, -bound, bound)
@@ -151,7 +212,7 @@ class PreviewMpc:
         A, B_old, B_new, D = sampled_model(self.vehicle, road.speed[0], self.period, self.actuator)
         older, old = self.before, self.sent[-1 - self.actuator.ticks]
         self.expected = apply(A, x) + B_old * older + B_new * old + D * road.curvature[1]
-        self.delta = float(self.expected[4])
+        self.delta = float(self.expected[DELTA])
 
     def _send(self, steering: float) -> float:
         """Remember a command; gives its rate [rad/s]."""
@@ -159,9 +220,3 @@ class PreviewMpc:
         self.before = float(self.sent[0])
         self.sent = np.append(self.sent[1:], steering)
         return (steering - before) / self.period
-
-    def _hold(self, car: VehicleState, s: float, e_y: float, e_psi: float) -> Command:
-        """Keep the angle: the car stands, or drives backwards."""
-        self._send(self.steering)
-        self.expected = None
-        return Command(car.stamp_ns, self.steering, 0.0, Diagnosis(e_y, e_psi))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_ros.model import MIN_SPEED, Vehicle, lateral_dynamics, matrix_exponential
 from ampc_ros.small_matrices import apply, product
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 V_Y, E_PSI, R, E_Y, DELTA = range(5)
 STATES = 5
+GONE = 100.0
+"""Rate at which a steering angle that is not used fades from the state [1/s]."""
 
 
 class Actuator(NamedTuple):
@@ -27,6 +30,14 @@ class Actuator(NamedTuple):
     share: float
     lag: float
     """Time constant; 0: the angle follows at once [s]."""
+
+
+def actuator_of(steering: SteeringParameters, T: float) -> Actuator:
+    """Give an actuator as whole ticks and a share of a tick of T [s] of delay, and its lag."""
+    ticks, share = divmod(steering.delay / T, 1.0)
+    if share > 1.0 - 1e-6:
+        ticks, share = ticks + 1.0, 0.0
+    return Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.lag)
 
 
 @compiled
@@ -47,6 +58,7 @@ def continuous_model(vehicle: Vehicle, v_x: float, lag: float) -> Array:
         block[DELTA, DELTA], block[DELTA, STATES] = -1.0 / lag, 1.0 / lag
     else:
         block[:4, STATES] = B_c
+        block[DELTA, DELTA] = -GONE
     return block
 
 

@@ -21,13 +21,13 @@ Array = NDArray[np.float64]
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon for which the model is not rebuilt."""
-HEAD_START = 0.05
+HEAD_START = 0.1
 """Cross-track error that is to vanish within the horizon [m]."""
 RETURN_RATE = 1.0
 """Lateral speed of a return from farther away [m/s]."""
 RETURN_SLOPE = 0.25
 """Largest share of the speed in it."""
-RETURN_ACCELERATION = 1.0
+RETURN_ACCELERATION = 1.5
 """Lateral acceleration of it [m/s^2]."""
 
 
