@@ -1,5 +1,6 @@
 """Follows a running drive from outside, for a progress bar."""
 
+import time
 from typing import Any
 
 import rclpy
@@ -27,8 +28,16 @@ class DriveWatch:
         self.node.destroy_node()
         rclpy.try_shutdown()
 
-    def spin(self, wall_time: float) -> None:
-        """Take in what arrives, for at most `wall_time` [s]."""
+    @property
+    def has_begun(self) -> bool:
+        """Whether a state has arrived."""
+        return self.start_ns is not None
+
+    def look(self, wall_time: float) -> None:
+        """Wait [s], then take in the newest state; the first one ends the wait."""
+        if self.has_begun:
+            time.sleep(wall_time)
+            wall_time = 0.0
         rclpy.spin_once(self.node, timeout_sec=wall_time)
 
     def on_odometry(self, message: Odometry) -> None:

@@ -1,5 +1,6 @@
 """One picture of a drive."""
 
+from collections.abc import Sequence
 from pathlib import Path as File
 
 import matplotlib as mpl
@@ -7,50 +8,94 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ampc_msgs_config.curves import Lane
 from ampc_msgs_config.drive_log import DriveLog
 from ampc_msgs_config.metrics import errors, ticks
+from ampc_msgs_config.path import Array
+from ampc_msgs_config.path_frame import PathFrame, path_frame, rotate
+from ampc_msgs_config.scenario import SPEED_PREVIEW
 from ampc_msgs_config.types import at_distance
 
 mpl.use("Agg")
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#999999"  # colour-blind safe (Okabe and Ito)
+NARROWEST = 0.5
+"""Smallest offset from the chord that fills the picture [m]."""
 
 
-def draw(log: DriveLog, base_link_to_cg: float, title: str, file: File) -> None:
-    """Draw path, cross-track error, steering and speed of a drive into a PNG file."""
+def draw(
+    log: DriveLog, lanes: Sequence[Lane], base_link_to_cg: float, title: str, file: File
+) -> None:
+    """Draw path, cross-track error, steering and speed of a drive into a PNG file.
+
+    Args:
+        log: The drive.
+        lanes: Gates of cones, where the scenario has them.
+        base_link_to_cg: From the point that the states describe to the centre of gravity [m].
+        title: Above the picture.
+        file: To write.
+    """
     figure = Figure(figsize=(10, 11), layout="constrained", dpi=110)
     figure.suptitle(title, fontsize=13)
-    axes = figure.subplots(4, 1, height_ratios=(1.6, 1, 1, 1))
+    place, *axes = figure.subplots(4, 1, height_ratios=(1.8, 1, 1, 1))
+    centre = np.array([at_distance(s, base_link_to_cg)[1:3] for s in log.drive.states])
+    try:
+        _along_chord(place, path_frame(log.path), centre, lanes)
+    except ValueError:
+        _map(place, np.column_stack((log.path.x, log.path.y)), centre)
     time = ticks(log.drive)
-    _path(axes[0], log, base_link_to_cg)
     error = errors(log.drive, log.path, base_link_to_cg)[:, 0]
-    _over_time(axes[1], time, error, "cross-track error [m]")
+    _over_time(axes[0], time, error, "cross-track error [m]")
     steering = np.degrees(log.drive.steering)
-    _over_time(axes[2], time, steering, "steering command [deg]", step=True)
+    _over_time(axes[1], time, steering, "steering command [deg]", step=True)
     speed = np.array([state.v_x for state in log.drive.states])
-    axes[3].plot(*log.target_speed.T, "--", color=GREY, label="target, 0.5 s ahead")
-    _over_time(axes[3], time, speed, "speed [m/s]", label="car")
-    axes[3].set_ylim(0, None)
-    axes[3].set_xlabel("time [s]")
-    axes[3].legend(loc="lower right")
+    label = f"target, {SPEED_PREVIEW:g} s ahead"
+    axes[2].plot(*log.target_speed.T, "--", color=GREY, label=label)
+    _over_time(axes[2], time, speed, "speed [m/s]", label="car")
+    axes[2].set_ylim(0, 1.1 * max(speed.max(), log.target_speed[:, 1].max()))
+    axes[2].set_xlabel("time [s]")
+    axes[2].legend(loc="lower right")
     figure.savefig(file)
 
 
-def _path(ax: Axes, log: DriveLog, base_link_to_cg: float) -> None:
-    centre = np.array([at_distance(s, base_link_to_cg)[1:3] for s in log.drive.states])
-    ax.plot(log.path.x, log.path.y, "--", color=GREY, label="reference")
-    ax.plot(*centre.T, color=BLUE, label="car (centre of gravity)")
-    ax.plot(*centre[0], "o", color=ORANGE, label="start")
-    spread = np.ptp(log.path.y) / max(np.ptp(log.path.x), 1e-9)
-    if spread > 0.2:
-        ax.set_aspect("equal", adjustable="datalim")
+def _along_chord(ax: Axes, frame: PathFrame, centre: Array, lanes: Sequence[Lane]) -> None:
+    """Draw offset over distance, where the path is a graph over its chord: any length is seen."""
+    car = _in_frame(frame, centre)
+    low, high = car[:, 0].min(), car[:, 0].max()
+    seen = np.clip(frame.X, low, high) == frame.X
+    for lane in lanes:
+        for y in (lane.right, lane.left):
+            ends = _in_frame(frame, np.array([[lane.start, y], [lane.end, y]]))
+            ax.plot(*ends.T, color=ORANGE, label="cones" if lane is lanes[0] and y < 0 else None)
+    _path_and_car(ax, np.column_stack((frame.X, frame.Y))[seen], car)
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(min(bottom, -NARROWEST), max(top, NARROWEST))
+    ax.set_xlabel("distance along the chord of the path [m]")
+    ax.set_ylabel("offset to its left [m]")
+
+
+def _in_frame(frame: PathFrame, points: Array) -> Array:
+    x, y = points.T
+    return np.column_stack(rotate(x - frame.x, y - frame.y, -frame.heading))
+
+
+def _map(ax: Axes, path: Array, centre: Array) -> None:
+    """Draw a map with equal axes."""
+    _path_and_car(ax, path, centre)
+    ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("x in map [m]")
     ax.set_ylabel("y in map [m]")
+
+
+def _path_and_car(ax: Axes, path: Array, car: Array) -> None:
+    ax.plot(*path.T, "--", color=GREY, label="reference")
+    ax.plot(*car.T, color=BLUE, label="car (centre of gravity)")
+    ax.plot(*car[0], "o", color=ORANGE, label="start")
     ax.grid(alpha=0.3)
     ax.legend(loc="best")
 
 
 def _over_time(
-    ax: Axes, time: np.ndarray, values: np.ndarray, name: str, *, step: bool = False, label: str = ""
+    ax: Axes, time: Array, values: Array, name: str, *, step: bool = False, label: str = ""
 ) -> None:
     style = "steps-post" if step else "default"
     ax.plot(time, values, color=BLUE, drawstyle=style, label=label)

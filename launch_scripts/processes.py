@@ -1,9 +1,13 @@
 """Node processes that live and end together."""
 
+import ctypes
+import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -11,6 +15,10 @@ from launch_scripts.environment import ros_environment
 
 PATIENCE = 10.0
 """Wall time that a process gets to end after SIGINT, and again after SIGTERM [s]."""
+SET_PARENT_DEATH_SIGNAL = 1
+"""PR_SET_PDEATHSIG of <linux/prctl.h>."""
+LIBC = ctypes.CDLL(None)
+LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 
 class Processes:
@@ -18,7 +26,8 @@ class Processes:
 
     Note:
         Each node gets a process group of its own, so that Ctrl-C reaches only this process, which
-        ends the nodes in order, the recorder last.
+        ends the nodes in order, the recorder last. Where this process is killed itself, the
+        kernel (of Linux) sends SIGTERM to the nodes.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -34,9 +43,10 @@ class Processes:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
-        """End all, the last started first; the recorder was started first."""
-        for name in reversed(list(self.running)):
-            self.end(name)
+        """End all at once, and the one that was started first, the recorder, after them."""
+        first, *others = self.running.values()
+        end(others)
+        end([first])
 
     def start(self, name: str, module: str, parameters: Mapping[str, object]) -> None:
         """Start a node: `python -m module` with ROS parameters."""
@@ -51,6 +61,7 @@ class Processes:
                 stderr=subprocess.STDOUT,
                 env=ros_environment(),
                 start_new_session=True,
+                preexec_fn=end_with_parent,
             )
 
     def ended(self) -> dict[str, int]:
@@ -58,26 +69,32 @@ class Processes:
         codes = {name: process.poll() for name, process in self.running.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
-    def end(self, name: str) -> int:
-        """End a node: SIGINT, then SIGTERM, then SIGKILL; gives its exit code."""
-        process = self.running.pop(name)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            if process.poll() is None:
-                process.send_signal(number)
-            try:
-                return process.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                continue
-        return process.wait()
-
     def log(self, name: str) -> Path:
         """Give the log file of a node."""
         return self.logs / f"{name}.log"
 
     def last_words(self, name: str) -> str:
-        """Give the last line of a node's log."""
+        """Give the last line of a node's log, without the time."""
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "no output")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "no output")
+        return LOG_PREFIX.sub("", last)
+
+
+def end(processes: list[subprocess.Popen[bytes]]) -> None:
+    """End processes: SIGINT, then SIGTERM, then SIGKILL."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        for process in processes:
+            process.send_signal(number)
+        until = time.monotonic() + PATIENCE
+        for process in processes:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(max(until - time.monotonic(), 0.0))
+
+
+def end_with_parent() -> None:
+    """In a new process: ask for SIGTERM at the end of the process that has started it."""
+    if sys.platform == "linux":
+        LIBC.prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
 
 
 def yaml_text(value: object) -> str:

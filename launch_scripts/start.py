@@ -4,52 +4,40 @@
 """
 
 import argparse
-import json
 import os
+import shutil
 import signal
 import sys
-import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.drive_log import read_drive
-from ampc_msgs_config.metrics import evaluate
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SizeParameters
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.path_file import choose_scenario
 from ampc_msgs_config.scenario import Scenario
+from ampc_ros.controller import CONTROLLERS, Choices
+from ampc_ros.gain_table import load_gain_table
 from launch_scripts.environment import ros_environment
-from launch_scripts.figure import draw
 from launch_scripts.processes import Processes
+from launch_scripts.result import Run, judge
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
-READY_WITHIN = 120.0
-"""Wall time for the first state, which includes compiling after an update [s]."""
-LABELS = {
-    "mse_m2": ("MSE of the cross-track error", "m2"),
-    "mse_lateral_m2": ("MSE of Y - Y_ref(X), the paper's", "m2"),
-    "rms_error_m": ("RMS cross-track error", "m"),
-    "max_error_m": ("largest cross-track error", "m"),
-    "steering_rms_increment_deg": ("steering effort, RMS increment", "deg/tick"),
-    "steering_max_deg": ("largest steering angle", "deg"),
-    "solve_time_p50_us": ("solve time, median", "us"),
-    "solve_time_p99_us": ("solve time, 99 %", "us"),
-    "solve_time_max_us": ("solve time, largest", "us"),
-    "ticks": ("ticks", ""),
-    "missed_ticks": ("missed ticks", ""),
-}
+START_TIME_OUT = 180.0
+"""Wall time for the nodes to find each other, which includes compiling after an update [s]."""
+WRONG_SET_UP = 2
+"""Exit code of this script and of a node whose options are wrong."""
 
 
-class StartError(Exception):
-    """What ended the run early, in one sentence, and the exit code."""
+class Ending(Exception):
+    """What ended a run early, in one sentence, and the exit code."""
 
-    def __init__(self, sentence: str, code: int = 1) -> None:
+    def __init__(self, sentence: str, code: int) -> None:
+        """Note sentence and exit code."""
         super().__init__(sentence)
         self.code = code
 
@@ -57,46 +45,67 @@ class StartError(Exception):
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add = parser.add_argument
-    add("--scenario", default="sc1", help=f"YAML file, or {', '.join(shipped('scenarios'))}")
-    add("--path", default="", help="CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead of a scenario")
-    add("--speed", type=float, help="constant speed instead of the given one [m/s]")
-    add("--vehicle", default="paper", help=f"YAML file, or {', '.join(shipped('vehicles'))}")
-    add("--controller", default="paper", help="paper, classic or pure_pursuit")
-    add("--settings", default="table3", help="limits: YAML file, or shipped name")
-    add("--gain-table", default="table3", help="YAML file, or shipped name")
-    add("--friction", type=float, default=-1.0, help="of the road; default: the tyre's")
-    add("--noise", default="", help="measurement noise: YAML file, or x1")
-    add("--seed", type=int, default=0, help="of the noise")
-    add("--real-time", action="store_true", help="run free instead of in lock-step")
-    add("--time-out", type=float, default=10.0, help="for an answer in lock-step [s]")
-    add("--output", type=Path, help="folder of the run; default: runs/<time>_<name>")
+    default = Choices()
+
+    def add(name: str, value: Any, text: str, folder: str = "", **how: Any) -> None:
+        names = f"YAML file, or {', '.join(shipped(folder))}; " if folder else ""
+        shown = "; default: %(default)s" if value not in (None, "") else ""
+        parser.add_argument(name, default=value, help=f"{names}{text}{shown}".lstrip(), **how)
+
+    add("--scenario", "sc1", "what to drive", "scenarios")
+    add("--path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario")
+    add("--speed", None, "constant speed instead of the given one [m/s]", type=float)
+    add("--vehicle", default.vehicle, "the car", "vehicles")
+    add("--controller", default.controller, "who steers", choices=CONTROLLERS)
+    add("--settings", default.settings, "limits of the controller", "controllers")
+    add("--gain-table", default.gain_table, "gains of the controller", "gains")
+    add("--friction", -1.0, "of the road, 0.01 to 3; -1: that of the tyres", type=float)
+    add("--noise", "", "of the measurement; default: none", "noise")
+    add("--seed", 0, "of the noise", type=int)
+    add("--real-time", False, "run free instead of in lock-step", action="store_true")
+    add("--time-out", 10.0, "longest wait for a node's answer [s]", type=float)
+    add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
     return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Drive, judge, show; gives the exit code."""
-    chosen, console = options(arguments), Console()
-    signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
     os.environ.update(ros_environment())
+    ending = Ending("completed", 0)
     try:
-        size = load(SizeParameters, find("vehicles", chosen.vehicle), "size")
-        scenario = choose_scenario(chosen.scenario, chosen.path, chosen.speed, size)
-        folder = new_folder(chosen.output, f"{scenario.name}_{chosen.controller}")
-        run(chosen, scenario, folder, console)
-        show(chosen, scenario, folder, console)
-    except (ValueError, StartError) as error:
-        console.print(f"[red]error:[/] {error}", highlight=False, soft_wrap=True)
-        return error.code if isinstance(error, StartError) else 2
-    except KeyboardInterrupt:
-        console.print("interrupted: all nodes are ended, the bag is closed")
-        return 130
-    return 0
+        run = prepare(chosen)
+    except ValueError as error:
+        console.print(f"[red]error:[/] {error}")
+        return WRONG_SET_UP
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, interrupt)
+    try:
+        drive(run, console)
+    except Ending as early:
+        ending = early
+    return finish(run, ending, console)
 
 
-def new_folder(wanted: Path | None, name: str) -> Path:
+def prepare(chosen: argparse.Namespace) -> Run:
+    """Load all that was named, so that what is wrong is said before any node starts.
+
+    Raises:
+        ValueError: Names what is wrong, in one sentence.
+    """
+    size = load_vehicle(find("vehicles", chosen.vehicle)).size
+    load(ControllerSettings, find("controllers", chosen.settings))
+    load_gain_table(chosen.gain_table)
+    if chosen.noise:
+        load(MeasurementNoise, find("noise", chosen.noise))
+    scenario = choose_scenario(chosen.scenario, chosen.path, chosen.speed, size)
+    given = {key: value for key, value in vars(chosen).items() if key != "output"}
+    name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{chosen.controller}"
+    return Run(new_folder(chosen.output or Path("runs") / name), scenario, given)
+
+
+def new_folder(folder: Path) -> Path:
     """Make the folder of a run; one that exists is never written into."""
-    folder = wanted or Path("runs") / f"{datetime.now():%Y%m%d_%H%M%S}_{name}"
     try:
         folder.mkdir(parents=True)
     except OSError as error:
@@ -104,57 +113,34 @@ def new_folder(wanted: Path | None, name: str) -> Path:
     return folder
 
 
-def run(chosen: argparse.Namespace, scenario: Scenario, folder: Path, console: Console) -> None:
-    """Start the nodes, follow the drive, end the nodes."""
-    lock_step = not chosen.real_time
-    mode: dict[str, Any] = {"lock_step": lock_step}
-    clock = {"use_sim_time": lock_step}
-    drive = {
-        "vehicle": chosen.vehicle,
-        "scenario": chosen.scenario,
-        "path": chosen.path,
-        "speed": -1.0 if chosen.speed is None else chosen.speed,
-    }
-    control = {
-        "vehicle": chosen.vehicle,
-        "controller": chosen.controller,
-        "settings": chosen.settings,
-        "gain_table": chosen.gain_table,
-    }
-    plant = {
-        "friction": chosen.friction,
-        "noise": chosen.noise,
-        "seed": chosen.seed,
-        "time_out": chosen.time_out,
-    }
-    with Processes(folder / "log") as nodes:
-        bag = folder / "bag"
-        nodes.start("recorder", "ampc_msgs_config.recorder_node", clock | {"output": str(bag)})
-        nodes.start("planner", "ampc_ros.planner_node", mode | clock | drive)
-        nodes.start("controller", "ampc_ros.controller_node", mode | clock | control)
-        with console.status("starting (an update compiles once, up to a minute)"):
-            await_ready(nodes, bag / "metadata.yaml")
-        nodes.start("simulator", "sim_vehicle.simulator_node", mode | drive | plant)
-        follow(nodes, scenario, console)
+def interrupt(number: int, _: Any) -> NoReturn:
+    """End the run at a signal; the tidying up that follows is bounded in time and goes on."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    raise Ending(f"interrupted by {signal.Signals(number).name}", 128 + number)
 
 
-def await_ready(nodes: Processes, bag: Path) -> None:
-    """Wait until the recorder has its subscriptions and the controller is compiled."""
-    until = time.monotonic() + READY_WITHIN
-    while not (bag.exists() and "ready" in nodes.last_words("controller")):
-        check(nodes)
-        if time.monotonic() > until:
-            raise StartError(f"not ready within {READY_WITHIN:g} s; logs: {nodes.logs}")
-        time.sleep(0.05)
+def drive(run: Run, console: Console) -> None:
+    """Start the nodes, follow the drive, end the nodes.
 
-
-def check(nodes: Processes) -> None:
-    """Raise if a node has ended that should not have."""
-    for name, code in nodes.ended().items():
-        if name == "simulator" and code == 0:
-            continue
-        how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        raise StartError(f"{name} ended early ({how}): {nodes.last_words(name)}")
+    Raises:
+        Ending: A node has ended that should not have, or a signal came.
+    """
+    given = run.options
+    lock_step = not given["real_time"]
+    common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
+    route = {key: given[key] for key in ("scenario", "path")}
+    route["speed"] = -1.0 if given["speed"] is None else given["speed"]
+    control = {key: given[key] for key in ("controller", "settings", "gain_table")}
+    plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
+    plant["start_time_out"] = START_TIME_OUT
+    record = {"output": str(run.bag), "use_sim_time": lock_step}
+    with Processes(run.folder / "log") as nodes:
+        nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
+        nodes.start("planner", "ampc_ros.planner_node", common | route)
+        nodes.start("controller", "ampc_ros.controller_node", common | control)
+        nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+        follow(nodes, run.scenario, console)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
@@ -162,35 +148,47 @@ def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
     from launch_scripts.drive_watch import DriveWatch  # needs the environment that main() set
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
+    starting = "starting (an update compiles once, up to a minute)"
     with DriveWatch() as watch, Progress(*columns, TimeElapsedColumn(), console=console) as bar:
-        task = bar.add_task(scenario.name, total=scenario.duration, at="")
-        while "simulator" not in nodes.ended():
-            check(nodes)
-            watch.spin(0.1)
-            at = f"{watch.elapsed:.1f} of {scenario.duration:.1f} s driven, {watch.speed:.1f} m/s"
-            bar.update(task, completed=watch.elapsed, at=at)
-        check(nodes)
+        task = bar.add_task(scenario.name, total=scenario.duration, at=starting)
+        while not is_over(nodes):
+            watch.look(0.1)
+            if watch.has_begun:
+                at = f"{watch.elapsed:.1f} of {scenario.duration:.1f} s, {watch.speed:.1f} m/s"
+                bar.update(task, completed=watch.elapsed, at=at)
         bar.update(task, completed=scenario.duration, at=f"{scenario.duration:.1f} s driven")
 
 
-def show(chosen: argparse.Namespace, scenario: Scenario, folder: Path, console: Console) -> None:
-    """Judge the bag; write metrics and picture, print the table."""
-    chassis = load(ChassisParameters, find("vehicles", chosen.vehicle), "chassis")
-    period = load(ControllerSettings, find("controllers", chosen.settings)).sample_time
-    log = read_drive(folder / "bag")
-    metrics = evaluate(log.drive, log.path, chassis.cg_to_rear_axle, period)
-    title = f"{scenario.name}, {chosen.controller}, {chosen.vehicle} car"
-    facts = {key: value for key, value in vars(chosen).items() if key != "output"}
-    content = {"run": facts, "version": __version__, "metrics": metrics}
-    (folder / "metrics.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    draw(log, chassis.cg_to_rear_axle, title, folder / "drive.png")
-    table = Table(title=title, title_justify="left")
-    for heading in ("quantity", "value", "unit"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    for key, (label, unit) in LABELS.items():
-        table.add_row(label, f"{metrics[key]:.4g}", unit)
-    console.print(table)
-    console.print(f"bag, metrics.json, drive.png and logs: {folder}", highlight=False)
+def is_over(nodes: Processes) -> bool:
+    """Tell whether the simulator has ended the drive.
+
+    Raises:
+        Ending: Another node has ended, or the simulator failed.
+    """
+    ended = nodes.ended()
+    if ended.get("simulator") == 0:
+        return True
+    for name, code in ended.items():
+        if code < 0:
+            raise Ending(f"{name} was killed by {signal.Signals(-code).name}", 1)
+        raise Ending(f"{name} ended with exit code {code}: {nodes.last_words(name)}", code or 1)
+    return False
+
+
+def finish(run: Run, ending: Ending, console: Console) -> int:
+    """Judge what was driven, show it, and give the exit code."""
+    if ending.code:
+        console.print(f"[red]error:[/] {ending}")
+    if ending.code == WRONG_SET_UP:
+        shutil.rmtree(run.folder)
+        return ending.code
+    try:
+        console.print(judge(run, str(ending)))
+        console.print(f"bag, metrics.json, drive.png and logs: {run.folder}")
+    except ValueError as error:
+        console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}")
+        return ending.code or 1
+    return ending.code
 
 
 if __name__ == "__main__":

@@ -12,6 +12,9 @@ from ampc_msgs_config.path import Array, make_path
 from ampc_msgs_config.path import Path as ReferencePath
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
+SOLVE_TIME = "controller/debug/solve_time"
+NEEDED = (ros.ODOM, ros.STEERING_COMMAND, ros.TARGET_SPEED, ros.REFERENCE_PATH, SOLVE_TIME)
+
 
 class DriveLog(NamedTuple):
     """What a bag holds of a drive."""
@@ -24,42 +27,49 @@ class DriveLog(NamedTuple):
     """(n, 2) time since the first command [s], target speed [m/s]."""
 
 
-def read_drive(bag: File) -> DriveLog:
-    """Read a drive from a bag; the topics may stand in any namespace.
+def read_drive(bag: File, namespace: str | None = None) -> DriveLog:
+    """Read a drive from a bag.
+
+    Args:
+        bag: Folder of the bag, or one MCAP file.
+        namespace: Where the topics stand, such as `/car1`; by default where steering begins.
 
     Raises:
         ValueError: Names the bag and what it lacks.
     """
-    topics: dict[str, list[Any]] = {
-        name: [] for name in (ros.ODOM, ros.STEERING_COMMAND, ros.TARGET_SPEED,
-                              ros.REFERENCE_PATH, "debug/solve_time")
-    }
-    for entry in read(bag):
-        for name in topics:
-            if entry.topic.endswith("/" + name):
-                topics[name].append(entry.message)
-    for name, messages in topics.items():
+    prefix = _steered_namespace(bag) if namespace is None else namespace.rstrip("/")
+    topics: dict[str, list[Any]] = {f"{prefix}/{name}": [] for name in NEEDED}
+    for entry in read(bag, topics):
+        topics[entry.topic].append(entry.message)
+    for topic, messages in topics.items():
         if not messages:
-            raise ValueError(f"{bag}: holds no message on {name}")
-    drive = _drive(bag, topics)
-    start_ns = drive.states[0].stamp_ns
-    speeds = [ros.target_speed(message) for message in topics[ros.TARGET_SPEED]]
-    path = make_path(ros.path_points(topics[ros.REFERENCE_PATH][-1]))
-    target = [((s.stamp_ns - start_ns) / NANOSECONDS, s.value) for s in speeds]
-    return DriveLog(drive, path, np.array(target))
+            raise ValueError(f"{bag}: holds no message on {topic}")
+    odom, commands, speeds, paths, solve_times = topics.values()
+    states, steering = _answered(bag, odom, commands)
+    drive = Drive(states, steering, np.array([message.data for message in solve_times]))
+    return DriveLog(
+        drive,
+        make_path(ros.path_points(paths[-1])),
+        _since(states[0].stamp_ns, [ros.target_speed(message) for message in speeds]),
+    )
 
 
-def _drive(bag: File, topics: dict[str, list[Any]]) -> Drive:
-    states: dict[int, VehicleState] = {}
-    for message in topics[ros.ODOM]:
-        state = ros.vehicle_state(message)
-        states[state.stamp_ns] = state
-    commands = dict(ros.steering_angle(message) for message in topics[ros.STEERING_COMMAND])
-    stamps = sorted(stamp for stamp in commands if stamp in states)
+def _steered_namespace(bag: File) -> str:
+    for entry in read(bag):
+        if entry.topic.endswith(f"/{ros.STEERING_COMMAND}"):
+            return entry.topic.removesuffix(f"/{ros.STEERING_COMMAND}")
+    raise ValueError(f"{bag}: holds no message on {ros.STEERING_COMMAND}")
+
+
+def _answered(bag: File, odom: list[Any], commands: list[Any]) -> tuple[list[VehicleState], Array]:
+    """States that a command answers, in their order, and the commanded angles (n,) [rad]."""
+    angles = dict(ros.steering_angle(message) for message in commands)
+    states = {state.stamp_ns: state for state in map(ros.vehicle_state, odom)}
+    stamps = sorted(angles.keys() & states.keys())
     if len(stamps) < 2:
         raise ValueError(f"{bag}: {len(stamps)} commands answer a recorded state, 2 are needed")
-    return Drive(
-        [states[stamp] for stamp in stamps],
-        np.array([commands[stamp] for stamp in stamps]),
-        np.array([message.data for message in topics["debug/solve_time"]]),
-    )
+    return [states[stamp] for stamp in stamps], np.array([angles[stamp] for stamp in stamps])
+
+
+def _since(start_ns: int, values: list[ros.Stamped]) -> Array:
+    return np.array([((each.stamp_ns - start_ns) / NANOSECONDS, each.value) for each in values])

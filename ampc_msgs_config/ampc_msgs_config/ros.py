@@ -1,28 +1,16 @@
 """Topics, quality of service, and the way between messages and our types. ROS starts here."""
 
 import math
-import sys
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
+from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import Array
-from ampc_msgs_config.path_file import choose_scenario
-from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import (
     NANOSECONDS,
     Command,
@@ -40,15 +28,23 @@ STEERING_STATE = "steering_state"
 WIND = "wind"
 CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"
+DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time")
+"""Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
 
 MAP = "map"
 BASE_LINK = "base_link"
 STEERING_JOINT = "front_steering"
 
+MAX_STEERING = math.pi / 2
+"""Larger road-wheel angles are refused [rad]."""
+MAX_SPEED = 100.0
+"""Larger target speeds are refused [m/s]."""
+
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Subscribers of measurements: a late sample is worth nothing."""
-RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""Publishers, and subscribers that want all: ten samples cover a recorder's hiccup."""
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Publishers, and subscribers that want all: so deep that a recorder may be kept waiting for
+seconds while a drive in lock-step runs ten times as fast as real time."""
 COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Whoever acts on a command acts on the newest."""
 LATCHED = QoSProfile(
@@ -117,7 +113,7 @@ def vehicle_state(message: Odometry) -> VehicleState:
     return state
 
 
-def path_message(points: Array, stamp_ns: int) -> Path:
+def path_message(points: NDArray[np.float64], stamp_ns: int) -> Path:
     """Pack points (n, 2) in `map` [m], each heading for the next."""
     message = Path()
     message.header.frame_id, message.header.stamp = MAP, time_message(stamp_ns)
@@ -152,8 +148,15 @@ def speed_message(speed: Stamped) -> TwistStamped:
 
 
 def target_speed(message: TwistStamped) -> Stamped:
-    """Unpack a target speed [m/s]."""
-    return Stamped(nanoseconds(message.header.stamp), message.twist.linear.x)
+    """Unpack a target speed [m/s].
+
+    Raises:
+        ValueError: The speed is not in [0, MAX_SPEED].
+    """
+    speed = message.twist.linear.x
+    if not 0.0 <= speed <= MAX_SPEED:
+        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_SPEED:g}] m/s")
+    return Stamped(nanoseconds(message.header.stamp), speed)
 
 
 def steering_message(command: Command) -> JointState:
@@ -173,11 +176,12 @@ def steering_angle(message: JointState) -> Stamped:
     """Unpack a road-wheel angle [rad].
 
     Raises:
-        ValueError: The message holds no position, or one that is not finite.
+        ValueError: The message does not hold one angle in [-MAX_STEERING, MAX_STEERING].
     """
-    if not message.position or not math.isfinite(message.position[0]):
-        raise ValueError(f"steering: position = {list(message.position)} must hold a finite angle")
-    return Stamped(nanoseconds(message.header.stamp), message.position[0])
+    angles = list(message.position)
+    if len(angles) != 1 or not abs(angles[0]) <= MAX_STEERING:
+        raise ValueError(f"steering: position = {angles} must hold one angle of at most 90 degrees")
+    return Stamped(nanoseconds(message.header.stamp), angles[0])
 
 
 def wind_message(stamp_ns: int, wind: tuple[float, float]) -> Vector3Stamped:
@@ -186,76 +190,3 @@ def wind_message(stamp_ns: int, wind: tuple[float, float]) -> Vector3Stamped:
     message.header.stamp, message.header.frame_id = time_message(stamp_ns), MAP
     message.vector.x, message.vector.y = wind
     return message
-
-
-DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time")
-"""Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
-
-
-def diagnostics_message(node: Node, trouble: str, values: dict[str, float]) -> DiagnosticArray:
-    """Pack the health of a node: WARN with the trouble in words, or OK."""
-    status = DiagnosticStatus(
-        level=DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK,
-        name=node.get_fully_qualified_name(),
-        message=trouble or "OK",
-        values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
-    )
-    message = DiagnosticArray(status=[status])
-    message.header.stamp = node.get_clock().now().to_msg()
-    return message
-
-
-def declare_scenario(node: Node) -> Scenario:
-    """Declare the parameters that choose a drive, and load it."""
-    vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
-    name = declare(node, "scenario", "sc1", "shipped scenario, or YAML file")
-    path = declare(node, "path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead")
-    speed = declare(node, "speed", -1.0, "constant speed instead [m/s]; -1: as given", (-1, 100))
-    size = load(SizeParameters, find("vehicles", vehicle), "size")
-    return choose_scenario(name, path, None if speed < 0 else speed, size)
-
-
-def declare(node: Node, name: str, default: Any, description: str, bounds: Any = None) -> Any:
-    """Declare a read-only parameter with its description and range, and give its value.
-
-    Args:
-        node: Owner.
-        name: Of the parameter.
-        default: Value, which sets the type.
-        description: For `ros2 param describe`.
-        bounds: (low, high) of a number, or a list of the words that are allowed.
-    """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
-    if isinstance(default, float) and bounds:
-        span = FloatingPointRange(from_value=float(bounds[0]), to_value=float(bounds[1]))
-        descriptor.floating_point_range = [span]
-    elif bounds:
-        descriptor.additional_constraints = "one of: " + ", ".join(bounds)
-    value = node.declare_parameter(name, default, descriptor).value
-    if isinstance(bounds, list) and value not in bounds:
-        raise ValueError(f"parameter {name} = {value!r} must be one of {', '.join(bounds)}")
-    return value
-
-
-def spin(make_node: Callable[[], Node]) -> int:
-    """Run one node until it ends itself, or is told to; gives the exit code of the process.
-
-    A set-up that is wrong ends in one line on stderr and exit code 2.
-    """
-    rclpy.init()
-    node = None
-    try:
-        node = make_node()
-        rclpy.spin(node)
-    except (ValueError, ParameterException) as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-        return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0

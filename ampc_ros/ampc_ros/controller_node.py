@@ -3,60 +3,55 @@
 import sys
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.base_node import BaseNode, declare, spin
 from ampc_msgs_config.path import Path, make_path
 from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
 
 
-class ControllerNode(Node):
-    """Solves on a timer of the node's clock, or, in lock-step, once for every state."""
+class ControllerNode(BaseNode):
+    """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
 
     def __init__(self) -> None:
-        """Load and compile everything; only then subscribe."""
+        """Load and compile everything; only then publish and subscribe."""
         super().__init__("controller")
-        lock_step = ros.declare(self, "lock_step", False, "answer every state, no timer")
         self.controller = make_controller(self._choices())
         warm_up(self.controller)
         self.state: VehicleState | None = None
         self.path: Path | None = None
-        self.answered: JointState | None = None
-        self.answered_ns = -1
-        self.counts = {"ticks": 0.0, "missed_ticks": 0.0, "rejected_inputs": 0.0}
-        self.trouble = "waiting for odom and reference_path"
-        self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
-        if lock_step:
-            self.create_subscription(Odometry, ros.ODOM, self.on_lock_step, ros.RELIABLE)
-        else:
-            self.create_subscription(Odometry, ros.ODOM, self.on_odometry, ros.NEWEST)
-            self.create_timer(self.controller.period, self.on_timer)
+        self.answer: JointState | None = None
+        self.no_path = "waiting for reference_path"
+        self.commands_given = self.missed_ticks = 0
         self.debug = {
             name: self.create_publisher(Float64, f"~/debug/{name}", ros.RELIABLE)
             for name in ros.DEBUG_QUANTITIES
         }
-        self.diagnostics = self.create_publisher(DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE)
-        self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, ros.COMMAND)
+        qos = ros.RELIABLE if self.lock_step else ros.COMMAND
+        self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, qos)
+        self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
+        qos = ros.RELIABLE if self.lock_step else ros.NEWEST
+        self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
+        if not self.lock_step:
+            self.create_timer(self.controller.period, self.on_timer)
         self.create_timer(1.0, self.on_diagnostics)
         self.get_logger().info("ready")
 
     def _choices(self) -> Choices:
         default = Choices()
-        to_cg = ros.declare(
+        to_cg = declare(
             self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
         )
-        names = list(CONTROLLERS)
         return Choices(
-            ros.declare(self, "controller", default.controller, "controller", names),
-            ros.declare(self, "vehicle", default.vehicle, "shipped vehicle, or YAML file"),
-            ros.declare(self, "settings", default.settings, "shipped limits, or YAML file"),
-            ros.declare(self, "gain_table", default.gain_table, "shipped gains, or YAML file"),
+            declare(self, "controller", default.controller, "which one", list(CONTROLLERS)),
+            declare(self, "vehicle", default.vehicle, "shipped vehicle, or YAML file"),
+            declare(self, "settings", default.settings, "shipped limits, or YAML file"),
+            declare(self, "gain_table", default.gain_table, "shipped gains, or YAML file"),
             None if to_cg < 0 else to_cg,
         )
 
@@ -65,71 +60,85 @@ class ControllerNode(Node):
         try:
             self.path = make_path(ros.path_points(message))
         except ValueError as error:
-            self._reject(error)
+            self.reject(error)
+        if self.lock_step:
+            self.answer_state()
 
     def on_odometry(self, message: Odometry) -> None:
         """Keep the newest state; a bad one is refused, time going backwards starts anew."""
         try:
             state = ros.vehicle_state(message)
         except ValueError as error:
-            self._reject(error)
+            self.reject(error)
             return
         if self.state is not None and state.stamp_ns < self.state.stamp_ns:
             self.get_logger().warning("time went backwards: controller reset")
             self.controller.reset()
-            self.answered_ns = -1
+            self.answer = None
         self.state = state
+        if self.lock_step:
+            self.answer_state()
 
-    def on_lock_step(self, message: Odometry) -> None:
-        """Answer a state; a state that was answered before gets the same command again."""
-        self.on_odometry(message)
-        if self.state is not None and self.state.stamp_ns == self.answered_ns:
-            self.commands.publish(self.answered)
+    def answer_state(self) -> None:
+        """Answer the newest state; one that was answered before gets the same command again."""
+        if self.answer is not None and self.is_answered():
+            self.commands.publish(self.answer)
         else:
-            self.on_timer()
+            self.step()
 
     def on_timer(self) -> None:
         """Answer the newest state, once."""
-        if self.state is None or self.path is None:
-            return
-        self.counts["ticks"] += 1
-        if self.state.stamp_ns == self.answered_ns:
-            self.counts["missed_ticks"] += 1
+        if self.is_answered():
+            self.missed_ticks += 1
             self.trouble = "no new odom since the last tick"
+        else:
+            self.step()
+
+    def is_answered(self) -> bool:
+        """Tell whether the newest state has its command."""
+        if self.state is None or self.answer is None:
+            return False
+        return ros.nanoseconds(self.answer.header.stamp) == self.state.stamp_ns
+
+    def step(self) -> None:
+        """Give the newest state its command, if there is a path for it."""
+        if self.state is None or self.path is None or self.unrecorded():
             return
         start = time.perf_counter()
         try:
             command = self.controller.step(self.state, self.path)
         except ValueError as error:
-            self._reject(error)
-            self.path = None
+            if self.lock_step:
+                raise
+            self.reject(error)
+            self.path, self.no_path = None, str(error)
             return
-        self._publish(command, time.perf_counter() - start)
+        self.publish(command, time.perf_counter() - start)
 
-    def _publish(self, command: Command, solve_time: float) -> None:
-        self.answered, self.answered_ns = ros.steering_message(command), command.stamp_ns
-        self.commands.publish(self.answered)
+    def publish(self, command: Command, solve_time: float) -> None:
+        """Publish a command and what is to be said about it."""
+        self.answer = ros.steering_message(command)
+        self.commands.publish(self.answer)
+        self.commands_given += 1
         for name, value in (*command.diagnosis._asdict().items(), ("solve_time", solve_time)):
             self.debug[name].publish(Float64(data=float(value)))
-        self.trouble = ""
         if command.diagnosis.outside_table:
             self.trouble = "outside the gain table: nearest edge in use"
         if not command.diagnosis.converged:
             self.trouble = "QP not solved: angle held"
 
-    def _reject(self, error: ValueError) -> None:
-        self.counts["rejected_inputs"] += 1
-        self.trouble = str(error)
-        self.get_logger().error(str(error), throttle_duration_sec=1.0)
-
     def on_diagnostics(self) -> None:
         """Report health once a second."""
-        self.diagnostics.publish(ros.diagnostics_message(self, self.trouble, self.counts))
+        waiting = "waiting for odom" if self.state is None else ""
+        if self.path is None:
+            waiting = self.no_path
+        values = {"commands": self.commands_given, "missed_ticks": self.missed_ticks}
+        self.report(self.now_ns, waiting, values)
 
 
 def main() -> int:
     """Run the node."""
-    return ros.spin(ControllerNode)
+    return spin(ControllerNode)
 
 
 if __name__ == "__main__":

@@ -6,43 +6,68 @@ lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simula
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.conditions import IfCondition, UnlessCondition
+from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from ampc_msgs_config.config import shipped
+
+
+def file_or(folder: str) -> str:
+    """The words for an argument that takes a shipped name or a file."""
+    return f"YAML file, or one of {', '.join(shipped(folder))}"
+
+
 ARGUMENTS = {
-    "vehicle": ("paper", "name of a shipped vehicle, or a YAML file"),
-    "scenario": ("sc1", "name of a shipped scenario, or a YAML file"),
-    "path": ("", "CSV file of a path to drive instead of the scenario's; empty for none"),
-    "speed": ("-1.0", "constant speed instead of the given one [m/s]; -1 for as given"),
-    "controller": ("paper", "paper, classic or pure_pursuit"),
-    "gain_table": ("table3", "name of a shipped gain table, or a YAML file"),
-    "lock_step": ("true", "simulated time advances only when all commands have arrived"),
-    "time_out": ("60.0", "wait for a command in lock-step, also while nodes compile [s]"),
-    "namespace": ("", "namespace of the nodes and of their topics"),
+    "scenario": ("sc1", file_or("scenarios")),
+    "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario"),
+    "speed": ("-1.0", "constant speed instead of the given one [m/s]; -1: as given"),
+    "vehicle": ("paper", file_or("vehicles")),
+    "controller": ("paper", "who steers"),
+    "settings": ("table3", f"limits of the controller: {file_or('controllers')}"),
+    "gain_table": ("table3", f"gains of the controller: {file_or('gains')}"),
+    "base_link_to_cg": ("-1.0", "from odom to the centre of gravity [m]; -1: rear axle"),
+    "friction": ("-1.0", "of the road; -1: that of the tyres"),
+    "noise": ("", f"of the measurement: {file_or('noise')}; empty: none"),
+    "seed": ("0", "of the noise"),
+    "lock_step": ("true", "simulated time advances only when every state is answered"),
+    "time_out": ("10.0", "longest wait for a node's answer [s]"),
+    "start_time_out": ("180.0", "longest wait for all nodes, also while they compile [s]"),
+    "namespace": ("", "of the nodes and of their topics"),
     "simulate": ("true", "start the simulator; false where a real car drives"),
-    "output": ("", "new folder for a recording; empty for none"),
+    "output": ("", "new folder for a recording; empty: none"),
 }
-TYPES = {"speed": float, "time_out": float, "lock_step": bool}
-DRIVE = ("vehicle", "scenario", "path", "speed", "lock_step")
+CHOICES = {"controller": ["preview", "paper", "classic", "pure_pursuit"]}
+FLOATS = ("speed", "base_link_to_cg", "friction", "time_out", "start_time_out")
+TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "lock_step": bool}
+
+ROUTE = ("vehicle", "scenario", "path", "speed")
+PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
+CONTROL = ("vehicle", "controller", "settings", "gain_table", "base_link_to_cg")
 
 
 def generate_launch_description() -> LaunchDescription:
     """Declares the arguments and starts the nodes; when one node ends, all end."""
     arguments = [
-        DeclareLaunchArgument(name, default_value=value, description=description)
-        for name, (value, description) in ARGUMENTS.items()
+        DeclareLaunchArgument(
+            name, default_value=value, description=text, choices=CHOICES.get(name)
+        )
+        for name, (value, text) in ARGUMENTS.items()
     ]
-    simulate = IfCondition(LaunchConfiguration("simulate"))
-    record = UnlessCondition(EqualsSubstitution(LaunchConfiguration("output"), ""))
+    simulated = IfCondition(LaunchConfiguration("simulate"))
+    recorded = NotEqualsSubstitution(LaunchConfiguration("output"), "")
+    mode = parameters("lock_step") | {
+        "wait_for_recorder": ParameterValue(recorded, value_type=bool)
+    }
+    record = parameters("output") | {"use_sim_time": parameter("lock_step")}
     nodes = [
-        node("sim_vehicle", "simulator", (*DRIVE, "time_out"), simulate),
-        node("ampc_ros", "planner", DRIVE),
-        node("ampc_ros", "controller", ("vehicle", "controller", "gain_table", "lock_step")),
-        node("ampc_msgs_config", "recorder", ("output",), record),
+        node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated),
+        node("ampc_ros", "planner", mode | parameters(*ROUTE)),
+        node("ampc_ros", "controller", mode | parameters(*CONTROL)),
+        node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]
     together = [
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
@@ -51,25 +76,28 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, *together, *nodes])
 
 
+def parameter(argument: str) -> ParameterValue:
+    """A launch argument as the value of a node's parameter."""
+    return ParameterValue(LaunchConfiguration(argument), value_type=TYPES.get(argument, str))
+
+
+def parameters(*names: str) -> dict[str, ParameterValue]:
+    """Launch arguments as parameters of the same names."""
+    return {name: parameter(name) for name in names}
+
+
 def node(
     package: str,
     executable: str,
-    names: tuple[str, ...],
-    condition: IfCondition | UnlessCondition | None = None,
+    values: dict[str, ParameterValue],
+    condition: IfCondition | None = None,
 ) -> Node:
-    """A node whose parameters are the launch arguments of these names; lock-step simulates time."""
-    parameters = {name: argument(name) for name in names}
-    parameters["use_sim_time"] = argument("lock_step")
+    """A node in the chosen namespace, its log on the screen."""
     return Node(
         package=package,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[parameters],
+        parameters=[values],
         condition=condition,
         output="screen",
     )
-
-
-def argument(name: str) -> ParameterValue:
-    """A launch argument as the value of a parameter."""
-    return ParameterValue(LaunchConfiguration(name), value_type=TYPES.get(name, str))

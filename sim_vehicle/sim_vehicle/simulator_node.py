@@ -6,19 +6,21 @@ Real-time mode runs free on the node's clock. In lock-step the node owns the tim
 
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.base_node import BaseNode, declare, declare_scenario, spin
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import STEP_NS, Simulation
@@ -26,60 +28,67 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
-REAL_TIME_PERIOD_NS = 20_000_000
-"""Time from one state to the next in real-time mode [ns]."""
+REAL_TIME_PERIOD = 0.02
+"""Time from one state to the next in real-time mode [s]."""
 RESEND = 0.2
 """Wall time after which an unanswered state is published again [s]."""
 TIMED_OUT = 3
 """Exit code where a peer is lost."""
 
 
-class SimulatorNode(Node):
+class SimulatorNode(BaseNode):
     """Publishes the state of the car, and moves it under the commands that come back."""
 
     def __init__(self) -> None:
         """Load the car and the drive; the first state goes out once both peers are there."""
-        super().__init__("simulator")
-        scenario = ros.declare_scenario(self)
-        vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
-        self.lock_step = ros.declare(self, "lock_step", False, "advance only when answered")
-        self.time_out = ros.declare(
-            self, "time_out", 10.0, "wait for an answer in lock-step [s]", (0.1, 3600.0)
+        super().__init__("simulator", owns_time=True)
+        self.make_simulation = self._simulation()
+        self.make_simulation().advance(0.0, 0.0, STEP_NS)  # compiles
+        self.simulation = self.make_simulation()
+        limits = (0.1, 3600.0)
+        self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
+        self.start_time_out = declare(
+            self, "start_time_out", 60.0, "longest wait for the other nodes [s]", limits
         )
-        Simulation(vehicle, scenario).advance(0.0, 0.0, STEP_NS)  # compiles
-        self.simulation = Simulation(vehicle, scenario, **self._options())
-        self.state: list[tuple[Publisher, Any]] = []
-        self.period_ns = PERIOD_NS if self.lock_step else REAL_TIME_PERIOD_NS
         self.start_ns = NANOSECONDS
+        self.state: list[tuple[Publisher, Any]] = []
         self.answers: dict[str, ros.Stamped] = {}
         self.waiting_since = time.monotonic()
+        self._publish_and_subscribe()
+        self.wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.start_timer = self.create_timer(0.02, self.wait_for_peers, clock=self.wall)
+        self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
+        name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
+        self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
+
+    def _simulation(self) -> Callable[[], Simulation]:
+        """Declare the parameters of drive and car; gives what places the car at its start."""
+        scenario = declare_scenario(self)
+        vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
+        friction = declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
+        name = declare(self, "noise", "", "of the measurement: shipped one, or YAML file")
+        seed = declare(self, "seed", 0, "of the noise", (0, 2**31 - 1))
+        options: dict[str, Any] = {
+            "friction": None if friction < 0 else friction,
+            "noise": load(MeasurementNoise, find("noise", name)) if name else None,
+        }
+        return lambda: Simulation(vehicle, scenario, rng=np.random.default_rng(seed), **options)
+
+    def _publish_and_subscribe(self) -> None:
         self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         self.wind = self.create_publisher(Vector3Stamped, ros.WIND, ros.RELIABLE)
         self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
-        self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
-        self.diagnostics = self.create_publisher(DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE)
-        self.peers = (
-            self.create_subscription(
-                JointState, ros.STEERING_COMMAND, self.on_steering, ros.COMMAND
-            ),
-            self.create_subscription(TwistStamped, ros.TARGET_SPEED, self.on_speed, ros.COMMAND),
-        )
-        self.wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.timer = self.create_timer(0.02, self.wait_for_peers, clock=self.wall)
-        self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
-        self.get_logger().info(f"{scenario.name}: waiting for steering_command and target_speed")
+        if self.lock_step:
+            self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
+        self.peers = [
+            self._listen(JointState, ros.STEERING_COMMAND, ros.steering_angle),
+            self._listen(TwistStamped, ros.TARGET_SPEED, ros.target_speed),
+        ]
 
-    def _options(self) -> dict[str, Any]:
-        """Friction and measurement noise, as keyword arguments of the `Car`."""
-        friction = ros.declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
-        name = ros.declare(self, "noise", "", "shipped noise or YAML file; empty: none")
-        seed = ros.declare(self, "seed", 0, "of the noise")
-        noise = load(MeasurementNoise, find("noise", name)) if name else None
-        return {
-            "friction": None if friction < 0 else friction,
-            "noise": noise,
-            "rng": np.random.default_rng(seed),
-        }
+    def _listen(self, kind: Any, topic: str, unpack: Callable[[Any], ros.Stamped]) -> Subscription:
+        return self.create_subscription(
+            kind, topic, partial(self.on_answer, topic, unpack), ros.COMMAND
+        )
 
     @property
     def stamp_ns(self) -> int:
@@ -87,56 +96,89 @@ class SimulatorNode(Node):
         return self.start_ns + self.simulation.elapsed_ns
 
     def wait_for_peers(self) -> None:
-        """Start once both answers have a publisher that is matched."""
+        """Start once both answers have a publisher, and the recorder listens if there is one."""
         missing = [peer.topic_name for peer in self.peers if not peer.get_publisher_count()]
-        if missing and self.lock_step:
-            self._check_time_out(f"nobody publishes {' and '.join(missing)}")
         if missing:
-            return
-        self.timer.cancel()
-        self.destroy_timer(self.timer)
+            self.check_time_out(f"nobody publishes {' and '.join(missing)}", self.start_time_out)
+        elif unrecorded := self.unrecorded():
+            self.check_time_out(f"nobody records {' and '.join(unrecorded)}", self.start_time_out)
+        else:
+            self.begin()
+
+    def begin(self) -> None:
+        """Publish the first state, and set the timer that goes on."""
+        self.destroy_timer(self.start_timer)
         self.waiting_since = time.monotonic()
         if self.lock_step:
             self.create_timer(RESEND, self.on_unanswered, clock=self.wall)
-        else:
-            self.start_ns = self.get_clock().now().nanoseconds
-            self.create_timer(self.period_ns / NANOSECONDS, self.on_real_time)
-        self.publish_state()
-
-    def on_real_time(self) -> None:
-        """Move on under the newest answers; the car waits at its start for the first ones."""
-        if len(self.answers) < len(self.peers):
-            self.start_ns = self.get_clock().now().nanoseconds
             self.publish_state()
-            return
-        self.move()
+        else:
+            self.create_timer(REAL_TIME_PERIOD, self.on_real_time)
 
-    def on_steering(self, message: JointState) -> None:
-        """Take a steering angle."""
+    def on_answer(self, topic: str, unpack: Callable[[Any], ros.Stamped], message: Any) -> None:
+        """Take a steering angle or a target speed."""
         try:
-            self.answer("steering", ros.steering_angle(message))
+            answer = unpack(message)
         except ValueError as error:
-            self.get_logger().error(str(error), throttle_duration_sec=1.0)
-
-    def on_speed(self, message: TwistStamped) -> None:
-        """Take a target speed."""
-        self.answer("speed", ros.target_speed(message))
-
-    def answer(self, name: str, answer: ros.Stamped) -> None:
-        """Keep an answer; in lock-step only one to the present state, and move on with both."""
+            self.reject(error)
+            return
         if not self.lock_step:
-            self.answers[name] = answer
+            self.answers[topic] = answer._replace(stamp_ns=self.now_ns)
         elif answer.stamp_ns == self.stamp_ns:
-            self.answers[name] = answer
-            if len(self.answers) == len(self.peers):
-                self.move()
+            self.answers[topic] = answer
+            if not self.unanswered():
+                self.move(PERIOD_NS)
                 self.answers.clear()
                 self.waiting_since = time.monotonic()
 
-    def move(self) -> None:
-        """Drive one period and publish the state there, or end the drive."""
-        steering, speed = self.answers["steering"].value, self.answers["speed"].value
-        self.simulation.advance(steering, speed, self.period_ns)
+    def unanswered(self) -> list[str]:
+        """Give the topics that still have to answer."""
+        return [t for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED) if t not in self.answers]
+
+    def on_unanswered(self) -> None:
+        """Lock-step: publish an unanswered state again; give up after the time-out."""
+        if time.monotonic() - self.waiting_since < RESEND:
+            return
+        at = self.simulation.elapsed_ns / NANOSECONDS
+        missing = " and no ".join(self.unanswered())
+        self.check_time_out(f"no {missing} answered the state at {at:.1f} s", self.time_out)
+        self.send()
+
+    def on_real_time(self) -> None:
+        """Move on under the newest answers; the car waits at its start for the first ones."""
+        if missing := self.unanswered():
+            self.start_ns = self.now_ns
+            self.publish_state()
+            self.check_time_out(f"no {' and no '.join(missing)}", self.start_time_out)
+            return
+        due_ns = self.now_ns - self.stamp_ns
+        if due_ns < 0:
+            self.get_logger().warning("time went backwards: the car is at its start again")
+            self.simulation, self.start_ns = self.make_simulation(), self.now_ns
+        elif due_ns >= STEP_NS:
+            self.check_silence()
+            self.move(due_ns // STEP_NS * STEP_NS)
+
+    def check_silence(self) -> None:
+        """Real time: end the drive where nobody has driven for the time-out."""
+        for topic, answer in self.answers.items():
+            if self.now_ns - answer.stamp_ns > self.time_out * NANOSECONDS:
+                self.give_up(f"no {topic} within {self.time_out:g} s")
+
+    def check_time_out(self, what: str, time_out: float) -> None:
+        """Give up if the wait has been too long [s]."""
+        if time.monotonic() - self.waiting_since > time_out:
+            self.give_up(f"{what} within {time_out:g} s")
+
+    def give_up(self, why: str) -> None:
+        """End the drive: a peer is lost."""
+        self.get_logger().fatal(why)
+        raise SystemExit(TIMED_OUT)
+
+    def move(self, period_ns: int) -> None:
+        """Drive for a while [ns] and publish the state there, or end the drive."""
+        steering, speed = (self.answers[t].value for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED))
+        self.simulation.advance(steering, speed, period_ns)
         if self.simulation.finished:
             self.get_logger().info(f"drive over after {self.simulation.scenario.duration:g} s")
             raise SystemExit(0)
@@ -159,37 +201,23 @@ class SimulatorNode(Node):
         for publisher, message in self.state:
             publisher.publish(message)
 
-    def on_unanswered(self) -> None:
-        """Publish an unanswered state again; give up after the time-out."""
-        if time.monotonic() - self.waiting_since < RESEND:
-            return
-        names = {"steering": ros.STEERING_COMMAND, "speed": ros.TARGET_SPEED}
-        missing = [topic for name, topic in names.items() if name not in self.answers]
-        self._check_time_out(
-            f"no {' and no '.join(missing)} answered the state at "
-            f"{self.simulation.elapsed_ns / NANOSECONDS:.1f} s"
-        )
-        self.send()
-
-    def _check_time_out(self, what: str) -> None:
-        if time.monotonic() - self.waiting_since > self.time_out:
-            self.get_logger().fatal(f"lock-step: {what} within {self.time_out:g} s")
-            raise SystemExit(TIMED_OUT)
-
     def on_diagnostics(self) -> None:
-        """Report health once a second."""
+        """Report health once a second; in lock-step not before the time begins."""
+        if self.lock_step and not self.state:
+            return
+        waiting = "" if self.lock_step else " and ".join(self.unanswered())
         values = {
             "elapsed": self.simulation.elapsed_ns / NANOSECONDS,
             "duration": self.simulation.scenario.duration,
             "speed": float(self.simulation.car.state[3]),
         }
-        trouble = "" if self.answers or self.lock_step else "waiting for the first command"
-        self.diagnostics.publish(ros.diagnostics_message(self, trouble, values))
+        stamp_ns = self.stamp_ns if self.lock_step else self.now_ns
+        self.report(stamp_ns, f"waiting for {waiting}" if waiting else "", values)
 
 
 def main() -> int:
     """Run the node."""
-    return ros.spin(SimulatorNode)
+    return spin(SimulatorNode)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,170 @@
+"""What our nodes share: parameters with ranges, a report of their health, and a clean end."""
+
+import gc
+import math
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.time_source import USE_SIM_TIME_NAME
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import SizeParameters
+from ampc_msgs_config.path_file import choose_scenario
+from ampc_msgs_config.scenario import Scenario
+
+PARAMETER_EVENTS = "/parameter_events"
+
+
+class BaseNode(Node):
+    """A node that reports its health, and that can wait until a recorder listens."""
+
+    def __init__(self, name: str, *, owns_time: bool = False) -> None:
+        """Join the graph.
+
+        Args:
+            name: Of the node.
+            owns_time: In lock-step this node makes the time, which all others follow.
+        """
+        super().__init__(name)
+        self.lock_step: bool = declare(
+            self, "lock_step", False, "simulated time advances only when every state is answered"
+        )
+        if self.lock_step and not owns_time:
+            self.set_parameters([Parameter(USE_SIM_TIME_NAME, value=True)])
+        self.wait_for_recorder: bool = declare(
+            self, "wait_for_recorder", False, "drive only when a recorder listens to this node"
+        )
+        self.trouble = ""
+        self.rejected = 0
+        self.diagnostics = self.create_publisher(DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE)
+
+    @property
+    def now_ns(self) -> int:
+        """Time of the node's clock [ns]; 0 while simulated time has not begun."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def unrecorded(self) -> list[str]:
+        """Give the topics of this node for which it still waits for a recorder."""
+        if not self.wait_for_recorder:
+            return []
+        topics = {each.topic_name for each in self.publishers} - {PARAMETER_EVENTS}
+        missing = [topic for topic in sorted(topics) if not self._is_recorded(topic)]
+        self.wait_for_recorder = bool(missing)
+        return missing
+
+    def _is_recorded(self, topic: str) -> bool:
+        listeners = self.get_subscriptions_info_by_topic(topic)
+        return any(listener.node_name == "recorder" for listener in listeners)
+
+    def reject(self, error: ValueError) -> None:
+        """Count and report an input that is not used."""
+        self.rejected += 1
+        self.trouble = str(error)
+        self.get_logger().error(str(error), throttle_duration_sec=1.0)
+
+    def report(self, stamp_ns: int, lasting_trouble: str, values: Mapping[str, float]) -> None:
+        """Publish the health since the last report: WARN with the trouble in words, or OK."""
+        if self.wait_for_recorder:
+            lasting_trouble = "waiting for a recorder that listens to this node"
+        trouble, self.trouble = self.trouble or lasting_trouble, ""
+        values = {**values, "rejected_inputs": self.rejected}
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name(),
+            message=trouble or "OK",
+            values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = ros.time_message(stamp_ns)
+        self.diagnostics.publish(message)
+
+
+def declare(node: Node, name: str, default: Any, description: str, allowed: Any = None) -> Any:
+    """Declare a read-only parameter with its description and range, and give its value.
+
+    Args:
+        node: Owner.
+        name: Of the parameter.
+        default: Value, which sets the type.
+        description: For `ros2 param describe`.
+        allowed: (low, high) of a number, or a list of words.
+
+    Raises:
+        ValueError: The value is not allowed.
+        ParameterException: The value has another type, or leaves the range.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    if isinstance(allowed, list):
+        descriptor.additional_constraints = "one of: " + ", ".join(allowed)
+    elif isinstance(default, float):
+        low, high = map(float, allowed)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif allowed:
+        low, high = allowed
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+    value = node.declare_parameter(name, default, descriptor).value
+    if isinstance(allowed, list) and value not in allowed:
+        raise ValueError(f"parameter {name} = {value!r} must be one of {', '.join(allowed)}")
+    if isinstance(value, float) and math.isnan(value):
+        raise ValueError(f"parameter {name} = {value} must be a number")
+    return value
+
+
+def declare_scenario(node: Node) -> Scenario:
+    """Declare the parameters that choose a drive, and load it."""
+    vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
+    name = declare(node, "scenario", "sc1", "shipped scenario, or YAML file")
+    path = declare(node, "path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead")
+    speed = declare(node, "speed", -1.0, "constant speed instead [m/s]; -1: as given", (-1, 100))
+    size = load(SizeParameters, find("vehicles", vehicle), "size")
+    return choose_scenario(name, path, None if speed < 0 else speed, size)
+
+
+def spin(make_node: Callable[[], Node]) -> int:
+    """Run one node until it ends itself, or is told to; gives the exit code of the process.
+
+    A set-up that is wrong ends in one line on stderr and exit code 2.
+    """
+    node = None
+    try:
+        _init()
+        node = make_node()
+        gc.collect()
+        gc.freeze()  # what lives now lives on: a full collection would only delay a tick
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except SystemExit as end:
+        _deliver(node)
+        return int(end.code or 0)
+    except (ValueError, ParameterException) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _init() -> None:
+    try:
+        rclpy.init()
+    except RuntimeError as error:
+        raise ValueError(error) from error
+
+
+def _deliver(node: Node | None) -> None:
+    """Wait until everybody has what a node has published."""
+    for publisher in node.publishers if node is not None else ():
+        publisher.wait_for_all_acked(Duration(seconds=1))

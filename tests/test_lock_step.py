@@ -1,0 +1,124 @@
+"""ROS nodes in lock-step and the offline loop are one drive, bit for bit."""
+
+from collections import Counter
+from functools import cache, partial
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.metrics import Drive
+from ampc_msgs_config.scenario import load_scenario
+from ampc_msgs_config.types import VehicleState
+from ampc_ros.controller import Choices, make_controller
+from ampc_ros.controller_node import ControllerNode
+from ampc_ros.planner_node import PlannerNode
+from sim_vehicle.closed_loop import Simulation, drive
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.simulator_node import SimulatorNode
+from tests.ros_nodes import ros_context, spin_to_the_end, spin_until
+
+
+class Case(NamedTuple):
+    """A drive, by shipped names."""
+
+    scenario: str
+    controller: str
+    noise: str = ""
+    seed: int = 0
+
+
+CASES = [Case("sc1", "paper"), Case("sc3_wind", "pure_pursuit"), Case("sc1", "classic", "x1", 7)]
+
+
+class Heard(NamedTuple):
+    """What was published, in order."""
+
+    states: list[VehicleState]
+    commands: list[ros.Stamped]
+    reports_ns: list[int]
+    paths_ns: list[int]
+
+
+class Listener(Node):
+    """Hears what the nodes say to each other."""
+
+    def __init__(self) -> None:
+        """Subscribe."""
+        super().__init__("listener")
+        self.heard = Heard([], [], [], [])
+        listen = partial(self.create_subscription, qos_profile=ros.RELIABLE)
+        listen(Odometry, ros.ODOM, self.on_odometry)
+        listen(JointState, ros.STEERING_COMMAND, self.on_steering)
+        listen(DiagnosticArray, ros.DIAGNOSTICS, self.on_report)
+        self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Note a state."""
+        self.heard.states.append(ros.vehicle_state(message))
+
+    def on_steering(self, message: JointState) -> None:
+        """Note a command."""
+        self.heard.commands.append(ros.steering_angle(message))
+
+    def on_report(self, message: DiagnosticArray) -> None:
+        """Note the stamp of a report."""
+        self.heard.reports_ns.append(ros.nanoseconds(message.header.stamp))
+
+    def on_path(self, message: PathMessage) -> None:
+        """Note the stamp of a path."""
+        self.heard.paths_ns.append(ros.nanoseconds(message.header.stamp))
+
+
+def drive_over_ros(case: Case) -> Heard:
+    """Drive with the nodes in lock-step, to the end."""
+    parameters = {key: value for key, value in case._asdict().items() if value}
+    with ros_context(lock_step="true", **parameters) as executor:
+        listener = Listener()
+        for node in (listener, ControllerNode(), PlannerNode(), SimulatorNode()):
+            executor.add_node(node)
+        assert spin_to_the_end(executor) == 0
+        executor.remove_node(node)
+        ticks = len(drive_offline(case).states)
+        spin_until(executor, lambda: len(dict(listener.heard.commands)) == ticks)
+    return listener.heard
+
+
+@cache
+def drive_offline(case: Case) -> Drive:
+    """Drive without ROS."""
+    vehicle = load_vehicle(find("vehicles", "paper"))
+    scenario = load_scenario(case.scenario, vehicle.size)
+    noise = load(MeasurementNoise, find("noise", case.noise)) if case.noise else None
+    rng = np.random.default_rng(case.seed)
+    car = Simulation(vehicle, scenario, noise=noise, rng=rng)
+    return drive(car, make_controller(Choices(controller=case.controller)))
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, filter(None, case))))
+def test_ros_in_lock_step_and_the_offline_loop_give_the_same_bits(case: Case) -> None:
+    offline, heard = drive_offline(case), drive_over_ros(case)
+    commands = dict(heard.commands)
+    assert sorted(set(heard.states)) == offline.states
+    assert list(commands) == [state.stamp_ns for state in offline.states]
+    assert list(commands.values()) == offline.steering.tolist()
+
+
+def test_every_state_is_answered_once_and_all_stamps_are_simulated_time() -> None:
+    heard = drive_over_ros(CASES[0])
+    asked = Counter(state.stamp_ns for state in heard.states)
+    answered = Counter(stamp_ns for stamp_ns, _ in heard.commands)
+    assert asked.keys() == answered.keys()
+    assert all(answered[stamp_ns] <= asked[stamp_ns] for stamp_ns in asked)
+    assert len(set(heard.commands)) == len(answered)
+    first, last = min(asked), max(asked)
+    assert heard.paths_ns == [first]
+    assert heard.reports_ns
+    assert all(first <= stamp_ns <= last for stamp_ns in heard.reports_ns)
