@@ -41,7 +41,7 @@ class QpSolution(NamedTuple):
     multipliers: Array
     """lambda of Eq. (30), (m,)."""
     iterations: int
-    """Changes of the active set, or sweeps."""
+    """Rows that entered the active set, or sweeps."""
     status: int
     """SOLVED, INFEASIBLE, UNFINISHED or NOT_CONVEX."""
 
@@ -100,12 +100,12 @@ def unit_rows(C: Array, M: Array, gamma: Array) -> tuple[Array, Array, Array]:
 
 @compiled
 def solution_at(
-    task: NearestPoint, w: Array, multipliers: Array, changes: int, status: int
+    task: NearestPoint, w: Array, multipliers: Array, iterations: int, status: int
 ) -> QpSolution:
     """Transform a point w (n,) and its multipliers (m,) back."""
     for i in range(len(multipliers)):
         multipliers[i] /= task.lengths[i]
-    return QpSolution(backward(task.C, w), multipliers, changes, status)
+    return QpSolution(backward(task.C, w), multipliers, iterations, status)
 
 
 @compiled
@@ -122,6 +122,8 @@ def most_violated(task: NearestPoint, w: Array) -> int:
 class ActiveRows(NamedTuple):
     """Working set of the dual method; the first k entries of each array count, k <= n."""
 
+    size: NDArray[np.int64]
+    """(1,) k."""
     index: NDArray[np.int64]
     """(n,) rows that are held with equality."""
     multipliers: Array
@@ -135,13 +137,14 @@ class ActiveRows(NamedTuple):
 @compiled
 def no_active_rows(n: int) -> ActiveRows:
     """Give an empty working set for n unknowns."""
-    return ActiveRows(np.zeros(n, np.int64), np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
+    size, index = np.zeros(1, np.int64), np.zeros(n, np.int64)
+    return ActiveRows(size, index, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
 
 
 @compiled
-def orthonormalise(active: ActiveRows, rows: Array, first: int, k: int) -> None:
-    """Bring basis and S of the active rows `first` .. k - 1 up to date."""
-    for i in range(first, k):
+def orthonormalise(active: ActiveRows, rows: Array, first: int) -> None:
+    """Bring basis and S of the active rows from `first` on up to date."""
+    for i in range(first, active.size[0]):
         coordinates, rest = project_out(rows[active.index[i]], active.basis[:i])
         put(active.S[i], coordinates)
         active.S[i, i] = math.sqrt(dot(rest, rest))
@@ -150,12 +153,13 @@ def orthonormalise(active: ActiveRows, rows: Array, first: int, k: int) -> None:
 
 
 @compiled
-def drop(active: ActiveRows, rows: Array, blocking: int, k: int) -> None:
-    """Take one of k rows out of the working set."""
-    for i in range(blocking, k - 1):
+def drop(active: ActiveRows, rows: Array, blocking: int) -> None:
+    """Take a row out of the working set."""
+    active.size[0] -= 1
+    for i in range(blocking, active.size[0]):
         active.index[i] = active.index[i + 1]
         active.multipliers[i] = active.multipliers[i + 1]
-    orthonormalise(active, rows, blocking, k - 1)
+    orthonormalise(active, rows, blocking)
 
 
 @compiled
@@ -169,16 +173,17 @@ def longest_step(falling: Array, multipliers: Array) -> tuple[float, int]:
 
 
 @compiled
-def enter(task: NearestPoint, active: ActiveRows, k: int, w: Array, target: int) -> int:
-    """Let a violated row into the working set of k rows; rows that are in its way leave.
+def enter(task: NearestPoint, active: ActiveRows, w: Array, target: int) -> bool:
+    """Let a violated row into the working set; rows that are in its way leave.
 
     A row is in the way if its multiplier would turn negative. The multipliers and w (n,), changed
     in place, are those of the way there: see `settle`.
 
     Returns:
-        The new size; -1 if no point keeps these rows.
+        Whether there is a point that keeps these rows.
     """
     while True:
+        k = active.size[0]
         coordinates, rest = project_out(task.rows[target], active.basis[:k])
         falling = backward(active.S, coordinates)
         dual_step, blocking = longest_step(falling, active.multipliers)
@@ -186,26 +191,26 @@ def enter(task: NearestPoint, active: ActiveRows, k: int, w: Array, target: int)
         excess = max(dot(task.rows[target], w) - task.bounds[target], 0.0)
         primal_step = excess / slope if slope > DEPENDENT and k < len(w) else math.inf
         if primal_step <= dual_step and primal_step < math.inf:
-            active.index[k] = target
-            orthonormalise(active, task.rows, k, k + 1)
-            return k + 1
+            active.index[k], active.size[0] = target, k + 1
+            orthonormalise(active, task.rows, k)
+            return True
         if blocking < 0:
-            return -1
+            return False
         for i in range(k):
             active.multipliers[i] -= dual_step * falling[i]
         for j in range(len(w)):
             w[j] -= dual_step * rest[j]
-        drop(active, task.rows, blocking, k)
-        k -= 1
+        drop(active, task.rows, blocking)
 
 
 @compiled
-def settle(task: NearestPoint, active: ActiveRows, k: int, w: Array) -> None:
-    """Put w (n,) where the k active rows hold, nearest to the start; set the multipliers of this.
+def settle(task: NearestPoint, active: ActiveRows, w: Array) -> None:
+    """Put w (n,) where the active rows hold, nearest to the start; set the multipliers of this.
 
     Note:
         Computed from the start each time, so that no rounding error of earlier changes stays.
     """
+    k = active.size[0]
     coordinates, rest = project_out(task.start, active.basis[:k])
     held = np.empty(k)
     for i in range(k):
@@ -228,18 +233,16 @@ def active_set(qp: Qp) -> QpSolution:
     Starts at the unconstrained minimum and lets the most violated row in until none is violated.
     """
     task, status = nearest_point(qp)
-    w, multipliers = task.start.copy(), np.zeros(len(task.bounds))
-    active, k, entered = no_active_rows(len(w)), 0, 0
-    target = most_violated(task, w) if status == SOLVED else -1
-    while target >= 0 and status == SOLVED:
-        k = enter(task, active, k, w, target)
+    active, w, entered = no_active_rows(len(qp.K)), task.start.copy(), 0
+    target = most_violated(task, w)
+    while status == SOLVED and target >= 0:
+        feasible = enter(task, active, w, target)
         entered += 1
-        if k < 0:
-            return solution_at(task, w, multipliers, entered, INFEASIBLE)
-        settle(task, active, k, w)
+        settle(task, active, w)
         target = most_violated(task, w)
-        if entered == MAX_ENTRIES:
-            status = UNFINISHED
-    for i in range(k):
+        if not feasible or entered == MAX_ENTRIES:
+            status = UNFINISHED if feasible else INFEASIBLE
+    multipliers = np.zeros(len(task.bounds))
+    for i in range(active.size[0]):
         multipliers[active.index[i]] = active.multipliers[i]
-    return solution_at(task, w, multipliers, 2 * entered - k, status)
+    return solution_at(task, w, multipliers, entered, status)
