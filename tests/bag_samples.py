@@ -27,7 +27,7 @@ def sample(name: str, stamp_ns: int) -> Any:
     if name == ros.ODOM:
         state = VehicleState(stamp_ns, x=1.5, y=-0.1, yaw=0.3, v_x=9.0, v_y=0.01, yaw_rate=-0.2)
         return ros.odometry_message(state)
-    if name == ros.REFERENCE_PATH:
+    if name in (ros.REFERENCE_PATH, ros.PREDICTED_PATH):
         return ros.path_message(np.outer(np.arange(300), (0.1, -0.2)), stamp_ns)
     if name == ros.TARGET_SPEED:
         return ros.speed_message(ros.Stamped(stamp_ns, 8.333))

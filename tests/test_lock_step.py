@@ -35,7 +35,12 @@ class Case(NamedTuple):
     seed: int = 0
 
 
-CASES = [Case("sc1", "paper"), Case("sc3_wind", "pure_pursuit"), Case("sc1", "classic", "x1", 7)]
+CASES = [
+    Case("sc1", "paper"),
+    Case("sc3_wind", "pure_pursuit"),
+    Case("sc1", "classic", "x1", 7),
+    Case("sc2", "preview"),
+]
 
 
 class Heard(NamedTuple):
