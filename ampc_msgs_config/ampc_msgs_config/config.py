@@ -31,7 +31,8 @@ def find(folder: str, name: str) -> Path:
         return known[name]
     if Path(name).is_file():
         return Path(name)
-    raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {', '.join(known)}")
+    names = ", ".join(known)
+    raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
 
 
 def read(file: Path) -> dict[str, Any]:
@@ -42,7 +43,7 @@ def read(file: Path) -> dict[str, Any]:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"{file}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{file}: must hold a mapping of keys, not {type(content).__name__}")
@@ -71,7 +72,7 @@ def build(cls: type[T], content: Any, where: str) -> T:
             raise ValueError(f"{where}: missing key {key!r}")
     try:
         return cls(**{key: _as_float(value) for key, value in content.items()})
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise ValueError(f"{where}: {error}") from error
 
 

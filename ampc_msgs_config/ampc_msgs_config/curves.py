@@ -1,7 +1,7 @@
 """Analytic paths of the scenarios: the paper's lane changes, ISO 3888, simple shapes."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,10 @@ def q(z: Any) -> Any:
     return z**3 * (10 - 15 * z + 6 * z**2)
 
 
-def check_known(content: Mapping[str, Any], keys: set[str], where: str) -> None:
+def check_known(content: Any, keys: Iterable[str], where: str) -> None:
+    """Raise a ValueError unless `content` is a mapping with no other keys than these."""
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{where} = {content!r} must be a mapping of keys")
     for key in content:
         if key not in keys:
             raise ValueError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(keys))}")
@@ -35,6 +38,7 @@ def check_known(content: Mapping[str, Any], keys: set[str], where: str) -> None:
 def bounded(
     content: Mapping[str, Any], key: str, low: float, high: float, default: float | None = None
 ) -> float:
+    """Give a number of a mapping, or raise a ValueError with key, value and bound."""
     value = content[key] if default is None else content.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ValueError(f"{key} = {value!r} must be a number in [{low:g}, {high:g}]")
@@ -42,6 +46,7 @@ def bounded(
 
 
 def other_scenario(name: str) -> dict[str, Any]:
+    """Read the scenario that `same_as` names."""
     return config.read(config.find("scenarios", name))
 
 
@@ -50,17 +55,23 @@ Curve = Callable[[Array], Array]
 
 def make_curve(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
     """Give a function from arc length or X (n,) to points (n, 2), and the lanes of ISO tracks."""
+    check_known(content, {"kind"}.union(*KEYS.values()), "path")
     kind = content["kind"]
+    if kind not in KEYS:
+        raise ValueError(f"path: kind = {kind!r} must be one of {', '.join(KEYS)}")
+    check_known(content, {"kind", *KEYS[kind]}, f"path of kind {kind}")
     if kind == "same_as":
-        stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
-        curve, lanes = make_curve(other_scenario(content["scenario"])["path"], size)
-        return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), lanes
+        return _same_as(content, size)
     if kind == "iso3888":
         return _iso3888(int(bounded(content, "part", 1, 2)), size.width)
-    if kind not in CURVES:
-        known = ", ".join(sorted([*CURVES, "same_as", "iso3888"]))
-        raise ValueError(f"path: kind = {kind!r} must be one of {known}")
     return CURVES[kind](content), ()
+
+
+def _same_as(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
+    stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
+    curve, lanes = make_curve(other_scenario(content["scenario"])["path"], size)
+    longer = (lane._replace(start=lane.start * stretch, end=lane.end * stretch) for lane in lanes)
+    return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), tuple(longer)
 
 
 def _graph(function: Callable[[Array], Array]) -> Curve:
@@ -68,8 +79,14 @@ def _graph(function: Callable[[Array], Array]) -> Curve:
 
 
 def _moves(content: Mapping[str, Any]) -> Curve:
-    rows = [(m["start"], m["over"], m["by"]) for m in content["moves"]]
-    return _graph(lambda x: np.sum([by * q((x - start) / over) for start, over, by in rows], axis=0))
+    rows = [_move(row) for row in content["moves"]]
+    return _graph(lambda x: sum((by * q((x - at) / over) for at, over, by in rows), 0.0 * x))
+
+
+def _move(row: Any) -> tuple[float, float, float]:
+    check_known(row, ("start", "over", "by"), "moves")
+    start, over = bounded(row, "start", -1.0e5, 1.0e5), bounded(row, "over", 0.1, 1.0e5)
+    return start, over, bounded(row, "by", -1.0e4, 1.0e4)
 
 
 def _tanh_lane_change(_: Mapping[str, Any]) -> Curve:
@@ -105,6 +122,16 @@ CURVES: dict[str, Callable[[Mapping[str, Any]], Curve]] = {
     "sine": _sine,
     "circle": _circle,
 }
+KEYS: dict[str, tuple[str, ...]] = {
+    "moves": ("moves",),
+    "tanh_lane_change": (),
+    "straight": (),
+    "sine": ("amplitude", "wavelength"),
+    "circle": ("radius",),
+    "iso3888": ("part",),
+    "same_as": ("scenario", "stretch"),
+}
+"""What a path of each kind is given by."""
 
 ISO_SECTIONS = {1: (15.0, 30.0, 25.0, 25.0, 30.0), 2: (12.0, 13.5, 11.0, 12.5, 12.0)}
 """Lengths of entry lane, change, side lane, change back, exit lane [m]."""

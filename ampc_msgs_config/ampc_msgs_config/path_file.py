@@ -12,9 +12,7 @@ from ampc_msgs_config.path import Array, Path, make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
 
 
-def choose_scenario(
-    name: str, path: str, speed: float | None, size: SizeParameters
-) -> Scenario:
+def choose_scenario(name: str, path: str, speed: float | None, size: SizeParameters) -> Scenario:
     """Give the drive along a user's path file, or, if `path` is empty, a scenario by name.
 
     Args:
@@ -61,7 +59,7 @@ def from_csv(
     try:
         path = make_path(points)
         values = _speed_along(path, points, columns, speed, limits)
-        at = path.spacing * np.arange(len(values))
+        at = np.asarray(path.spacing * np.arange(len(values)))
         period = path.length if path.closed else None
         profile = checked_profile(SpeedProfile("distance", at, values, period))
     except ValueError as error:
@@ -84,6 +82,7 @@ def _speed_along(
 ) -> Array:
     """Speed at each sample of a path: the given or the file's one, within the limits [m/s]."""
     count = len(path.x)
+    values: Array
     if speed is not None:
         values = np.full(count, speed)
     elif "v" in columns or "t" in columns:
@@ -101,9 +100,17 @@ def _file_speed(path: Path, points: Array, columns: dict[str, Array]) -> Array:
     if "v" in columns:
         values = columns["v"][kept]
     else:
-        values = np.gradient(distance[kept], columns["t"][kept])
+        values = np.gradient(distance[kept], _increasing(columns["t"][kept]))
     share = np.linspace(0.0, distance[-1], len(path.x))
     return np.asarray(np.interp(share, distance[kept], values))
+
+
+def _increasing(time: Array) -> Array:
+    late = np.diff(time) > 0
+    if not late.all():
+        i = int(np.argmin(late))
+        raise ValueError(f"t_s = {time[i + 1]:g} must be greater than {time[i]:g} before it")
+    return time
 
 
 def limited(values: Array, path: Path, limits: SpeedLimits) -> Array:
@@ -123,7 +130,7 @@ def limited(values: Array, path: Path, limits: SpeedLimits) -> Array:
             speed[i] = min(speed[i], math.sqrt(speed[i - 1] ** 2 + gain))
         for i in range(len(speed) - 1, 0, -1):
             speed[i - 1] = min(speed[i - 1], math.sqrt(speed[i] ** 2 + gain))
-    return speed
+    return np.asarray(speed)
 
 
 HEADERS = {"x_m": "x", "y_m": "y", "x_east_m": "x", "y_north_m": "y", "v_mps": "v", "t_s": "t"}
@@ -132,7 +139,7 @@ HEADERS = {"x_m": "x", "y_m": "y", "x_east_m": "x", "y_north_m": "y", "v_mps": "
 def _columns(file: File) -> dict[str, Array]:
     try:
         rows = list(csv.reader(file.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
     names = [name.strip(" #") for name in rows[0]] if rows else []
     found = {HEADERS[name]: i for i, name in enumerate(names) if name in HEADERS}

@@ -14,6 +14,8 @@ from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 SPEED_PREVIEW = 0.5
 """How far ahead the target speed is read from the profile [s]: the time constant of the driver."""
+MIN_PREVIEW = 0.5
+"""The same as a distance, at least: a car that stands where the profile says 0 has to start [m]."""
 POINT_SPACING = 0.5
 """Distance of the points of analytic paths along X [m]."""
 RUN_OUT = 60.0
@@ -95,7 +97,8 @@ class SpeedPlanner:
             elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
             return speed_at(self.profile, elapsed + SPEED_PREVIEW)
         s = self.progress.advance(state.x, state.y, state.yaw)
-        return speed_at(self.profile, s + SPEED_PREVIEW * speed_at(self.profile, s))
+        ahead = max(SPEED_PREVIEW * speed_at(self.profile, s), MIN_PREVIEW)
+        return speed_at(self.profile, s + ahead)
 
 
 def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
@@ -130,6 +133,8 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
         return _scenario(file.stem, content, size)
     except KeyError as error:
         raise ValueError(f"{file}: missing key {error}") from error
+    except RecursionError as error:
+        raise ValueError(f"{file}: same_as goes round in a circle") from error
     except (TypeError, ValueError) as error:
         raise ValueError(f"{file}: {error}") from error
 
@@ -138,12 +143,12 @@ def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Sc
     check_known(content, {"path", "speed", "wind", "start_offset", "duration"}, "scenario")
     speed = _speed(content["speed"])
     duration = bounded(content, "duration", 0.1, 1.0e5)
-    time = np.arange(0.0, duration, 0.1)
-    reach = float(np.sum([speed_at(speed, t) for t in time]) * 0.1) + RUN_OUT
+    time = np.arange(0.0, duration, 0.1).tolist()
+    reach = sum(speed_at(speed, t) for t in time) * 0.1 + RUN_OUT
     curve, lanes = make_curve(content["path"], size)
     return Scenario(
         name=name,
-        points=curve(np.arange(0.0, reach, POINT_SPACING)),
+        points=curve(np.arange(0.0, reach, POINT_SPACING, dtype=np.float64)),
         speed=speed,
         duration=duration,
         wind=_wind(content.get("wind", [])),
@@ -155,7 +160,10 @@ def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Sc
 def _speed(content: Any) -> SpeedProfile:
     if isinstance(content, Mapping):
         return _speed(other_scenario(content["same_as"])["speed"])
-    table = np.array(content, dtype=float)
+    try:
+        table = np.array(content, dtype=float)
+    except (TypeError, ValueError):
+        table = np.array([])
     if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
         raise ValueError(f"speed = {content!r} must be a list of [time, speed]")
     return checked_profile(SpeedProfile("time", table[:, 0], table[:, 1]))
@@ -165,7 +173,8 @@ def checked_profile(profile: SpeedProfile) -> SpeedProfile:
     """Give the profile back, or say which value is out of order or out of [0, 100] m/s."""
     if (np.diff(profile.at) <= 0).any():
         row = int(np.argmax(np.diff(profile.at) <= 0))
-        raise ValueError(f"speed: {profile.over} {profile.at[row + 1]:g} must increase in row {row + 1}")
+        at = f"{profile.over} {profile.at[row + 1]:g}"
+        raise ValueError(f"speed: {at} in row {row + 2} must be greater than {profile.at[row]:g}")
     for value in profile.speed:
         if not 0 <= value <= 100:
             raise ValueError(f"speed = {value:g} must lie in [0, 100] m/s")
@@ -175,6 +184,8 @@ def checked_profile(profile: SpeedProfile) -> SpeedProfile:
 def _wind(content: Any) -> tuple[Wind, ...]:
     if isinstance(content, Mapping):
         return _wind(other_scenario(content["same_as"])["wind"])
+    if not isinstance(content, list):
+        raise ValueError(f"wind = {content!r} must be a list")
     return tuple(_wind_piece(item) for item in content)
 
 
