@@ -33,13 +33,13 @@ def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
     except ValueError:
         return np.full(len(drive.states), np.nan)
     places = [frame.place(at_distance(s, base_link_to_cg)) for s in drive.states]
-    return np.array([Y - frame.set_point(X) for X, Y, _ in places])
+    return np.array([Y - frame.set_point(X) for X, Y, _ in places], dtype=float)
 
 
 def ticks(drive: Drive) -> Array:
     """Give the time of each tick since the first (n,) [s]."""
     stamps = np.array([state.stamp_ns for state in drive.states])
-    return (stamps - stamps[0]) / NANOSECONDS
+    return np.asarray((stamps - stamps[0]) / NANOSECONDS)
 
 
 def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:

@@ -1,11 +1,11 @@
 """A path as the controller needs it: arc length, heading, curvature, projection, sampling."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
+from scipy.interpolate import make_interp_spline, make_lsq_spline
 
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.types import VehicleState, wrap_angle
@@ -110,8 +110,8 @@ def _overlapped(corners: Array) -> Array:
     return np.concatenate((corners[-OVERLAP:], corners, corners[: OVERLAP + 1]))
 
 
-def _spline(chord: Array, corners: Array) -> BSpline:
-    """Cubic spline over the chord length: interpolating, or by least squares where points are fine."""
+def _spline(chord: Array, corners: Array) -> Any:
+    """Cubic spline over the chord length: interpolating, or least squares where points are fine."""
     knots = [0]
     while (following := int(np.searchsorted(chord, chord[knots[-1]] + KNOT_GAP))) < len(chord):
         knots.append(following)
@@ -123,11 +123,11 @@ def _spline(chord: Array, corners: Array) -> BSpline:
     return make_lsq_spline(chord, corners, np.concatenate((ends[:4], inner, ends[4:])))
 
 
-def _sampled(spline: BSpline, ends: tuple[float, float], origin: Array, closed: bool) -> Path:
+def _sampled(spline: Any, ends: tuple[float, float], origin: Array, closed: bool) -> Path:
     """Sample a spline between two parameters at equal arc length."""
     span = ends[1] - ends[0]
     spacing = max(SPACING, span / MAX_SAMPLES)
-    fine = np.linspace(*ends, 4 * math.ceil(span / spacing) + 1)
+    fine = np.linspace(*ends, 4 * math.ceil(span / spacing) + 1, dtype=np.float64)
     length = _arc_length(spline, fine)
     count = math.ceil(length[-1] / spacing) + 1
     parameter = np.interp(np.linspace(0.0, length[-1], count), length, fine)
@@ -155,11 +155,11 @@ def _different_points(points: Array) -> Array:
     return np.asarray(kept)
 
 
-def _arc_length(spline: object, parameter: Array) -> Array:
+def _arc_length(spline: Any, parameter: Array) -> Array:
     """Integrate the speed of a curve over its parameter, by Simpson's rule on every interval."""
     middle = (parameter[:-1] + parameter[1:]) / 2
-    speed = np.hypot(*spline(parameter, nu=1).T)  # type: ignore[operator]
-    speed_middle = np.hypot(*spline(middle, nu=1).T)  # type: ignore[operator]
+    speed = np.hypot(*spline(parameter, nu=1).T)
+    speed_middle = np.hypot(*spline(middle, nu=1).T)
     steps = np.diff(parameter) / 6 * (speed[:-1] + 4 * speed_middle + speed[1:])
     return np.concatenate(([0.0], np.cumsum(steps)))
 

@@ -26,10 +26,12 @@ CLASSIC_SPEED = 9.0
 class Controller(Protocol):
     """What every controller offers: one command for one state, and a fresh start."""
 
-    steering: float
-    """Angle commanded last [rad]."""
     period: float
     """Time from one step to the next [s]."""
+
+    @property
+    def steering(self) -> float:
+        """Angle commanded last [rad]."""
 
     def step(self, state: VehicleState, path: Path) -> Command:
         """Answer a state at `base_link`."""
@@ -65,14 +67,15 @@ def make_controller(choices: Choices) -> Controller:
         raise ValueError(f"controller = {choices.controller!r} must be one of {known}")
     if choices.controller == "classic":
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
-    table = load_gain_table(choices.gain_table or DEFAULT_TABLES[choices.controller])
+    gains = choices.gain_table or DEFAULT_TABLES[choices.controller]
+    table = load_gain_table(gains)
     if choices.controller == "preview":
         steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
         return PreviewMpc(chassis, steering, settings, table, choices.base_link_to_cg)
     try:
         return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
     except ValueError as error:
-        raise ValueError(f"{find('gains', choices.gain_table)}: {error}") from error
+        raise ValueError(f"{find('gains', gains)}: {error}") from error
 
 
 def warm_up(controller: Controller) -> None:

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,14 +66,16 @@ class GainTable:
         logarithm, the pole linearly. Outside the grid the edge counts.
         """
         places = (speed, reference)
-        outside = any(not axis[0] <= p <= axis[-1] for axis, p in zip(self.axes, places))
+        outside = any(
+            not axis[0] <= p <= axis[-1] for axis, p in zip(self.axes, places, strict=True)
+        )
         if len(self.nodes) == 1:
             return Lookup(self.nodes[0], outside)
-        for k, (axis, place) in enumerate(zip(self.axes, places)):
+        for k, (axis, place) in enumerate(zip(self.axes, places, strict=True)):
             self.nearest[k] = nearest_node(axis, place, self.nearest[k])
         node = self._node(*self.nearest)
-        mixed = self._interpolate([bracket(axis, p) for axis, p in zip(self.axes, places)])
-        return Lookup(Gains(*node[:3], *mixed), outside)
+        brackets = [bracket(axis, p) for axis, p in zip(self.axes, places, strict=True)]
+        return Lookup(Gains(*node[:3], *self._interpolate(brackets)), outside)
 
     def reset(self) -> None:
         """Forget the node in use."""
@@ -160,9 +161,11 @@ def _gains(where: str, row: Any) -> Gains:
         check_range(f"{where}.{key}", row[key], metadata)
         if key in INTEGERS and row[key] != int(row[key]):
             raise ValueError(f"{where}.{key} = {row[key]} must be an integer")
-    gains = Gains(*(int(row[k]) if k in INTEGERS else float(row[k]) for k in Gains._fields))
+    gains = Gains._make(int(row[k]) if k in INTEGERS else float(row[k]) for k in Gains._fields)
     for key in ("control_horizon", "laguerre_terms"):
         if row[key] > gains.prediction_horizon:
-            raise ValueError(f"{where}.{key} = {row[key]} must not exceed prediction_horizon = "
-                             f"{gains.prediction_horizon}")
+            raise ValueError(
+                f"{where}.{key} = {row[key]} must not exceed prediction_horizon = "
+                f"{gains.prediction_horizon}"
+            )
     return gains

@@ -24,9 +24,9 @@ def predict(A: Array, B: Array, L: Array, N_p: int) -> tuple[Array, Array]:
     """
     n, N = len(A), L.shape[1]
     F, Phi = np.empty((N_p, n)), np.empty((N_p, N))
-    row = np.zeros(n)
+    row: Array = np.zeros(n)
     row[n - 1] = 1.0
-    response = np.zeros((n, N))
+    response: Array = np.zeros((n, N))
     for i in range(N_p):
         row = apply_transposed(A, row)
         response = product(A, response)

@@ -36,14 +36,12 @@ class PurePursuit:
         before, bound = self.steering, self.settings.max_angle
         self.steering = min(max(self._aim(rear), -bound), bound)
         rate = (self.steering - before) / self.period
-        return Command(
-            state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre))
-        )
+        return Command(state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre)))
 
     def _aim(self, rear: VehicleState) -> float:
         """atan(2 L sin(eta) / l_d): the circle through the rear axle, tangent to the car [rad]."""
         look_ahead = max(self.settings.look_ahead_time * rear.v_x, self.settings.min_look_ahead)
-        goal = point_at(self.path, self.rear.advance(rear.x, rear.y) + look_ahead)
+        goal = point_at(self.rear.path, self.rear.advance(rear.x, rear.y) + look_ahead)
         distance = max(math.hypot(goal.x - rear.x, goal.y - rear.y), 1e-6)
         eta = math.atan2(goal.y - rear.y, goal.x - rear.x) - rear.yaw
         return math.atan(2 * self.chassis.wheelbase * math.sin(eta) / distance)

@@ -124,7 +124,7 @@ class ActiveRows(NamedTuple):
 
     size: NDArray[np.int64]
     """(1,) k."""
-    index: NDArray[np.int64]
+    chosen: NDArray[np.int64]
     """(n,) rows that are held with equality."""
     multipliers: Array
     """(n,)."""
@@ -137,15 +137,15 @@ class ActiveRows(NamedTuple):
 @compiled
 def no_active_rows(n: int) -> ActiveRows:
     """Give an empty working set for n unknowns."""
-    size, index = np.zeros(1, np.int64), np.zeros(n, np.int64)
-    return ActiveRows(size, index, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
+    size, chosen = np.zeros(1, np.int64), np.zeros(n, np.int64)
+    return ActiveRows(size, chosen, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
 
 
 @compiled
 def orthonormalise(active: ActiveRows, rows: Array, first: int) -> None:
     """Bring basis and S of the active rows from `first` on up to date."""
     for i in range(first, active.size[0]):
-        coordinates, rest = project_out(rows[active.index[i]], active.basis[:i])
+        coordinates, rest = project_out(rows[active.chosen[i]], active.basis[:i])
         put(active.S[i], coordinates)
         active.S[i, i] = math.sqrt(dot(rest, rest))
         for j in range(len(rest)):
@@ -157,7 +157,7 @@ def drop(active: ActiveRows, rows: Array, blocking: int) -> None:
     """Take a row out of the working set."""
     active.size[0] -= 1
     for i in range(blocking, active.size[0]):
-        active.index[i] = active.index[i + 1]
+        active.chosen[i] = active.chosen[i + 1]
         active.multipliers[i] = active.multipliers[i + 1]
     orthonormalise(active, rows, blocking)
 
@@ -191,7 +191,7 @@ def enter(task: NearestPoint, active: ActiveRows, w: Array, target: int) -> bool
         excess = max(dot(task.rows[target], w) - task.bounds[target], 0.0)
         primal_step = excess / slope if slope > DEPENDENT and k < len(w) else math.inf
         if primal_step <= dual_step and primal_step < math.inf:
-            active.index[k], active.size[0] = target, k + 1
+            active.chosen[k], active.size[0] = target, k + 1
             orthonormalise(active, task.rows, k)
             return True
         if blocking < 0:
@@ -214,7 +214,7 @@ def settle(task: NearestPoint, active: ActiveRows, w: Array) -> None:
     coordinates, rest = project_out(task.start, active.basis[:k])
     held = np.empty(k)
     for i in range(k):
-        held[i] = task.bounds[active.index[i]]
+        held[i] = task.bounds[active.chosen[i]]
     held = forward(active.S, held)
     put(w, rest)
     for i in range(k):
@@ -244,5 +244,5 @@ def active_set(qp: Qp) -> QpSolution:
             status = UNFINISHED if feasible else INFEASIBLE
     multipliers = np.zeros(len(task.bounds))
     for i in range(active.size[0]):
-        multipliers[active.index[i]] = active.multipliers[i]
+        multipliers[active.chosen[i]] = active.multipliers[i]
     return solution_at(task, w, multipliers, entered, status)
