@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.path_file import choose_scenario
+from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 from ampc_ros.controller import CONTROLLERS, Choices
 from ampc_ros.gain_table import load_gain_table
@@ -54,7 +54,10 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
     add("--scenario", "sc1", "what to drive", "scenarios")
     add("--path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario")
-    add("--speed", None, "constant speed instead of the given one [m/s]", type=float)
+    add("--speed", -1.0, "constant speed [m/s]; -1: as given", type=float)
+    text = "largest along the CSV's path [m/s^2]; -1: speed as given"
+    add("--lateral-acceleration", -1.0, text, type=float)
+    add("--laps", 1, "of a CSV's closed path", type=int)
     add("--vehicle", default.vehicle, "the car", "vehicles")
     add("--controller", default.controller, "who steers", choices=CONTROLLERS)
     add("--settings", default.settings, "limits of the controller", "controllers")
@@ -95,10 +98,11 @@ def prepare(chosen: argparse.Namespace) -> Run:
     """
     size = load_vehicle(find("vehicles", chosen.vehicle)).size
     load(ControllerSettings, find("controllers", chosen.settings))
-    load_gain_table(chosen.gain_table)
+    if chosen.gain_table:
+        load_gain_table(chosen.gain_table)
     if chosen.noise:
         load(MeasurementNoise, find("noise", chosen.noise))
-    scenario = choose_scenario(chosen.scenario, chosen.path, chosen.speed, size)
+    scenario = choose_scenario(Route(*(getattr(chosen, key) for key in Route._fields)), size)
     given = {key: value for key, value in vars(chosen).items() if key != "output"}
     name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{chosen.controller}"
     return Run(new_folder(chosen.output or Path("runs") / name), scenario, given)
@@ -129,8 +133,7 @@ def drive(run: Run, console: Console) -> None:
     given = run.options
     lock_step = not given["real_time"]
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
-    route = {key: given[key] for key in ("scenario", "path")}
-    route["speed"] = -1.0 if given["speed"] is None else given["speed"]
+    route = {key: given[key] for key in Route._fields}
     control = {key: given[key] for key in ("controller", "settings", "gain_table")}
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT

@@ -19,7 +19,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path_file import choose_scenario
+from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 
 PARAMETER_EVENTS = "/parameter_events"
@@ -123,11 +123,21 @@ def declare(node: Node, name: str, default: Any, description: str, allowed: Any 
 def declare_scenario(node: Node) -> Scenario:
     """Declare the parameters that choose a drive, and load it."""
     vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
-    name = declare(node, "scenario", "sc1", "shipped scenario, or YAML file")
-    path = declare(node, "path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead")
-    speed = declare(node, "speed", -1.0, "constant speed instead [m/s]; -1: as given", (-1, 100))
-    size = load(SizeParameters, find("vehicles", vehicle), "size")
-    return choose_scenario(name, path, None if speed < 0 else speed, size)
+    default = Route()
+    route = Route(
+        declare(node, "scenario", default.scenario, "shipped scenario, or YAML file"),
+        declare(node, "path", default.path, "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead"),
+        declare(node, "speed", default.speed, "constant speed [m/s]; -1: as given", (-1, 100)),
+        declare(
+            node,
+            "lateral_acceleration",
+            default.lateral_acceleration,
+            "largest along the CSV's path [m/s^2]; -1: speed as given",
+            (-1, 20),
+        ),
+        declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
+    )
+    return choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
 
 
 def spin(make_node: Callable[[], Node]) -> int:

@@ -12,18 +12,32 @@ from ampc_msgs_config.path import Array, Path, make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
 
 
-def choose_scenario(name: str, path: str, speed: float | None, size: SizeParameters) -> Scenario:
-    """Give the drive along a user's path file, or, if `path` is empty, a scenario by name.
+class Route(NamedTuple):
+    """What a user chooses to drive; -1 stands for "as given"."""
 
-    Args:
-        name: Shipped scenario or YAML file.
-        path: CSV file, or empty.
-        speed: Constant speed instead of the given one [m/s].
-        size: Of the car.
+    scenario: str = "sc1"
+    """Shipped scenario, or YAML file."""
+    path: str = ""
+    """CSV file instead of a scenario, or empty."""
+    speed: float = -1.0
+    """Constant speed instead of the given one [m/s]."""
+    lateral_acceleration: float = -1.0
+    """Largest along the CSV file's path; speeds are cut to it [m/s^2]."""
+    laps: int = 1
+    """Of a CSV file's path that is closed."""
+
+
+def choose_scenario(route: Route, size: SizeParameters) -> Scenario:
+    """Give the drive that a user chose, with a car of this size.
+
+    Raises:
+        ValueError: Names the file, the key or line, and the value.
     """
-    if path:
-        return from_csv(File(path), speed)
-    return load_scenario(name, size, speed)
+    speed = None if route.speed < 0 else route.speed
+    if not route.path:
+        return load_scenario(route.scenario, size, speed)
+    a_y = route.lateral_acceleration
+    return from_csv(File(route.path), speed, SpeedLimits(a_y) if a_y > 0 else None, route.laps)
 
 
 class SpeedLimits(NamedTuple):

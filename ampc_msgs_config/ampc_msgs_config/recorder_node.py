@@ -50,6 +50,7 @@ CONTRACT: dict[str, Any] = {
     ros.TARGET_SPEED: TwistStamped,
     ros.STEERING_COMMAND: JointState,
     ros.STEERING_STATE: JointState,
+    ros.PREDICTED_PATH: PathMessage,
     ros.WIND: Vector3Stamped,
     ros.DIAGNOSTICS: DiagnosticArray,
     **dict.fromkeys(QUANTITIES, Float64),

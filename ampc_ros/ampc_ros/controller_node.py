@@ -11,8 +11,9 @@ from std_msgs.msg import Float64
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, spin
 from ampc_msgs_config.path import Path, make_path
-from ampc_msgs_config.types import Command, VehicleState
+from ampc_msgs_config.types import MODES, STANDSTILL, Command, VehicleState
 from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
+from ampc_ros.preview import PreviewMpc
 
 
 class ControllerNode(BaseNode):
@@ -35,9 +36,11 @@ class ControllerNode(BaseNode):
         qos = ros.RELIABLE if self.lock_step else ros.COMMAND
         self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, qos)
         self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
+        self.predictions = self.create_publisher(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:
+            self.create_subscription(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
             self.create_timer(self.controller.period, self.on_timer)
         self.create_timer(1.0, self.on_diagnostics)
         self.get_logger().info("ready")
@@ -78,6 +81,19 @@ class ControllerNode(BaseNode):
         self.state = state
         if self.lock_step:
             self.answer_state()
+
+    def on_steering(self, message: JointState) -> None:
+        """Tell a controller that has an actuator in its model where the steering really is.
+
+        Not in lock-step, where the order of `odom` and `steering_state` is nobody's promise.
+        """
+        try:
+            angle = ros.steering_angle(message).value
+        except ValueError as error:
+            self.reject(error)
+            return
+        if isinstance(self.controller, PreviewMpc):
+            self.controller.observe_steering(angle)
 
     def answer_state(self) -> None:
         """Answer the newest state; one that was answered before gets the same command again."""
@@ -122,6 +138,11 @@ class ControllerNode(BaseNode):
         self.commands_given += 1
         for name, value in (*command.diagnosis._asdict().items(), ("solve_time", solve_time)):
             self.debug[name].publish(Float64(data=float(value)))
+        if command.prediction is not None and self.predictions.get_subscription_count():
+            message = ros.path_message(command.prediction, command.stamp_ns)
+            self.predictions.publish(message)
+        if command.diagnosis.mode > STANDSTILL:
+            self.trouble = MODES[int(command.diagnosis.mode)]
         if command.diagnosis.outside_table:
             self.trouble = "outside the gain table: nearest edge in use"
         if not command.diagnosis.converged:

@@ -170,6 +170,10 @@ class PreviewMpc:
         points = predicted_points(path, s, road.speed, plan.lateral, self.period)
         return Command(car.stamp_ns, self.steering, rate, diagnosis, points)
 
+    def observe_steering(self, angle: float) -> None:
+        """Take the measured road-wheel angle [rad] in place of the one that the model expects."""
+        self.delta = angle
+
     def _place(
         self, path: Path, s: float, car: VehicleState, errors: tuple[float, float]
     ) -> Diagnosis:

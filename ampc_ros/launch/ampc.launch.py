@@ -25,6 +25,8 @@ ARGUMENTS = {
     "scenario": ("sc1", file_or("scenarios")),
     "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario"),
     "speed": ("-1.0", "constant speed instead of the given one [m/s]; -1: as given"),
+    "lateral_acceleration": ("-1.0", "largest along the CSV's path [m/s2]; -1: as given"),
+    "laps": ("1", "of a CSV's closed path"),
     "vehicle": ("paper", file_or("vehicles")),
     "controller": ("preview", "who steers"),
     "settings": ("table3", f"limits of the controller: {file_or('controllers')}"),
@@ -41,10 +43,10 @@ ARGUMENTS = {
     "output": ("", "new folder for a recording; empty: none"),
 }
 CHOICES = {"controller": ["preview", "paper", "classic", "pure_pursuit"]}
-FLOATS = ("speed", "base_link_to_cg", "friction", "time_out", "start_time_out")
-TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "lock_step": bool}
+FLOATS = ("speed", "lateral_acceleration", "base_link_to_cg", "friction", "time_out", "start_time_out")
+TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int, "lock_step": bool}
 
-ROUTE = ("vehicle", "scenario", "path", "speed")
+ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
 CONTROL = ("vehicle", "controller", "settings", "gain_table", "base_link_to_cg")
 
