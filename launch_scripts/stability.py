@@ -58,9 +58,7 @@ def spectral_radius(
 def memory_of(controller: PreviewMpc) -> Array:
     """What the controller carries from tick to tick."""
     expected = np.zeros(STATES) if controller.expected is None else controller.expected
-    return np.concatenate(
-        (controller.sent, [controller.before], controller.disturbance, expected)
-    )
+    return np.concatenate((controller.sent, [controller.before], controller.disturbance, expected))
 
 
 def recall(controller: PreviewMpc, memory: Array, v_x: float, T: float) -> None:

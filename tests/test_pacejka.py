@@ -1,6 +1,7 @@
 """The tyre against its formula, its limits, and its behaviour in time."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_slope_at_zero_slip_is_the_cornering_stiffness(load: float, friction: fl
 
 def test_cornering_stiffness_is_c_alpha_at_the_static_load_and_peaks_at_twice_that() -> None:
     assert cornering_stiffness(STATIC_LOAD, MAGIC) == pytest.approx(C_ALPHA)
-    values = [cornering_stiffness(z * STATIC_LOAD, MAGIC) for z in np.arange(0.0, 4.0, 0.01)]
+    values = [cornering_stiffness(float(z) * STATIC_LOAD, MAGIC) for z in np.arange(0.0, 4.0, 0.01)]
     assert np.argmax(values) == 200
 
 
@@ -98,8 +99,8 @@ def test_lifted_wheel_makes_no_force() -> None:
 def test_slip_builds_up_over_the_relaxation_length(slip: float, speed: float) -> None:
     rolling, sliding = speed * math.cos(slip), -speed * math.sin(slip)
 
-    def rate(_: float, s: np.ndarray) -> float:
-        return transient_slip(float(s[0]), rolling, sliding, STEP, MAGIC)[0]
+    def rate(_: float, s: Any, /) -> Any:
+        return transient_slip(float(s[0]), rolling, sliding, STEP, MAGIC)[:1]
 
     distance = np.array([0.02, 0.1, 0.3])
     run = solve_ivp(rate, (0, 1), [0.0], t_eval=distance / speed, rtol=1e-10, atol=1e-12)

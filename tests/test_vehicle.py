@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,9 +92,10 @@ def test_small_step_response_is_that_of_the_linear_model(
     ideal = vehicle._replace(steering=PAPER.steering)
     states = driven(Car(ideal, speed=speed), np.full(30, delta), speed=speed)
     A, B = bicycle(vehicle.chassis, speed, vehicle.tyre.relaxation_length)
-    time = np.arange(0.0, 3.0001, 0.005)
+    time: Any = np.arange(0.0, 3.0001, 0.005)
     system = (A, B, np.eye(4), np.zeros((4, 1)))
-    _, linear, _ = lsim(system, np.full(len(time), delta), time)
+    held: Any = np.full(len(time), delta)
+    _, linear, _ = lsim(system, held, time)
     for column, expected in ((V_Y, linear[20::20, 0]), (YAW_RATE, linear[20::20, 1])):
         assert np.abs(states[:, column] - expected).max() < 0.01 * np.abs(expected).max()
 

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 """[m/s^2]"""
 FRICTION_SHARE = 1.3
-"""Lateral acceleration whose LINEAR angle is the bound, as a share of the friction: the tyre's curve
-flattens towards its peak, which lies at about this multiple of the angle of a linear tyre."""
+"""The angle of a linear tyre at this share of the friction is the bound: the real tyre's curve
+flattens towards its peak, which lies at about this multiple of the linear angle."""
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the solver would lose its digits."""
 

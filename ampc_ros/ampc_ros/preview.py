@@ -1,4 +1,4 @@
-"""The controller that drives cars: adaptive MPC on the path ahead, with the actuator in its model."""
+"""The controller that drives cars: adaptive MPC on the path ahead, actuator in its model."""
 
 import math
 from dataclasses import astuple
@@ -118,8 +118,8 @@ class PreviewMpc:
 
     def reset(self) -> None:
         """Forget all earlier steps: no command, no disturbance, no path."""
-        self.sent = np.zeros(self.actuator.ticks + 1)
-        self.disturbance = np.zeros(STATES)
+        self.sent: Array = np.zeros(self.actuator.ticks + 1)
+        self.disturbance: Array = np.zeros(STATES)
         self.acceleration = 0.0
         self.path: Path | None = None
         self.last: VehicleState | None = None

@@ -1,4 +1,4 @@
-"""The quadratic programme of the `preview` formulation: the road ahead, the actuator, the tyre."""
+"""The programme of the `preview` formulation: the road ahead, the actuator, the tyre."""
 
 import math
 from typing import NamedTuple
@@ -13,7 +13,16 @@ from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import Limits, solve
 from ampc_ros.model import Vehicle
 from ampc_ros.prediction import add_outer, quadratic_cost
-from ampc_ros.preview_model import E_PSI, E_Y, STATES, V_Y, Actuator, angle_bound, sampled_model, steady_steering
+from ampc_ros.preview_model import (
+    E_PSI,
+    E_Y,
+    STATES,
+    V_Y,
+    Actuator,
+    angle_bound,
+    sampled_model,
+    steady_steering,
+)
 from ampc_ros.qp import Qp, QpSolution
 from ampc_ros.small_matrices import apply, dot, product
 
@@ -77,7 +86,7 @@ def angle_bounds(vehicle: Vehicle, road: Road, u_max: float, a_y_max: float) -> 
 
 @compiled
 def nominal_steering(vehicle: Vehicle, road: Road, u: float, bounds: Array, step: float) -> Array:
-    """Angles (H,) without a correction: the angle in force, and on with the bends of the road [rad].
+    """Angles (H,) without a correction: the angle in force, on with the road's bends [rad].
 
     Follows the changes of the steady-state angle along the road, within the bounds and within
     `step` per tick. A bound that is left already is approached as fast as `step` allows, so
@@ -111,7 +120,8 @@ def predict_on_road(
     """
     H, N, n = len(nominal), S.shape[1], actuator.ticks
     free, Phi = np.empty(H), np.empty((H, N))
-    x, response = past.x, np.zeros((STATES, N))
+    x: Array = past.x
+    response: Array = np.zeros((STATES, N))
     v = -1.0
     for j in range(H):
         if abs(road.speed[j + 1] - v) > SPEED_STEP * abs(v):
@@ -136,8 +146,8 @@ def predict_on_road(
 def input_at(i: int, sent: Array, nominal: Array) -> float:
     """Angle commanded at step i of the horizon; negative steps lie in the past [rad]."""
     if i >= 0:
-        return nominal[i]
-    return sent[max(len(sent) + i, 0)]
+        return float(nominal[i])
+    return float(sent[max(len(sent) + i, 0)])
 
 
 @compiled

@@ -43,7 +43,14 @@ ARGUMENTS = {
     "output": ("", "new folder for a recording; empty: none"),
 }
 CHOICES = {"controller": ["preview", "paper", "classic", "pure_pursuit"]}
-FLOATS = ("speed", "lateral_acceleration", "base_link_to_cg", "friction", "time_out", "start_time_out")
+FLOATS = (
+    "speed",
+    "lateral_acceleration",
+    "base_link_to_cg",
+    "friction",
+    "time_out",
+    "start_time_out",
+)
 TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int, "lock_step": bool}
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps")
