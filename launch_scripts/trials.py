@@ -1,0 +1,206 @@
+"""One trial: a car, a controller and what the controller does not know; and what is measured."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path as File
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.metrics import Drive, errors, ticks
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
+from ampc_msgs_config.path import Array, Path, make_path
+from ampc_msgs_config.path_file import SpeedLimits, from_csv
+from ampc_msgs_config.scenario import Scenario, load_scenario
+from ampc_msgs_config.types import Command, VehicleState, at_distance
+from ampc_ros.controller import DEFAULT_TABLES
+from ampc_ros.gain_table import load_gain_table
+from ampc_ros.lateral_mpc import LateralMpc
+from ampc_ros.preview import PreviewMpc
+from launch_scripts.independent_plant import Disturbance, IndependentSimulation, belief
+from sim_vehicle.closed_loop import Simulation, Steering, drive
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
+
+DATA = File(__file__).resolve().parents[2] / "shared" / "data"
+"""Recorded roads; they are no part of this repository."""
+LIMITS = SpeedLimits(lateral_acceleration=4.0, longitudinal_acceleration=2.0, speed=30.0)
+"""On recorded roads."""
+LAPS = 2
+INDEPENDENT = 2
+"""CommonRoad's number of the independent plant: a BMW 320i."""
+LOST = 10.0
+"""Cross-track error at the end of a drive that counts as diverged [m]."""
+FINE = 20
+"""Outlines looked at per tick."""
+
+
+class Trial(NamedTuple):
+    """One drive as data. What stands from `factors` on, the controller does not know."""
+
+    scenario: str = "sc1"
+    """Shipped name, or a CSV file in `DATA`."""
+    car: str = "paper"
+    """Shipped name, or `independent`."""
+    speed: float | None = None
+    """Instead of the scenario's [m/s]."""
+    offset: float = 0.0
+    """Of the start to the left of the path [m]."""
+    known_delay: float = 0.0
+    """Of the steering [s]."""
+    known_lag: float = 0.0
+    """Of the steering [s]."""
+    factors: tuple[tuple[str, float], ...] = ()
+    """On chassis parameters of the real car, by name."""
+    delay: float = 0.0
+    """Of the steering, beyond the known one [s]."""
+    friction: float | None = None
+    """Of the road; on the independent plant a factor on that of its tyres."""
+    seed: int | None = None
+    """Of the measurement noise x1."""
+    misaligned_deg: float = 0.0
+    """Angle at which the wheels stand when straight ahead is commanded."""
+    gust: tuple[float, float] = (0.0, 0.0)
+    """Independent plant: side force [N] and yaw moment [N m]."""
+
+
+class Driven(NamedTuple):
+    """A finished trial."""
+
+    drive: Drive
+    path: Path
+    scenario: Scenario
+    vehicle: Vehicle
+    error: Array
+    """Cross-track error at each tick (n,) [m]."""
+
+
+class Misaligned:
+    """Steers like another controller, through a linkage that adds an angle."""
+
+    def __init__(self, inner: Steering, angle: float) -> None:
+        """Put a linkage behind `inner` that adds `angle` [rad]."""
+        self.inner, self.angle, self.period = inner, angle, inner.period
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer a state by the angle at the wheels."""
+        command = self.inner.step(state, path)
+        return command._replace(steering=command.steering + self.angle)
+
+
+def controller(name: str, chassis: ChassisParameters, steering: SteeringParameters) -> Steering:
+    """Make `preview` or `paper` with its shipped gains, for a car as it is believed to be."""
+    settings = load(ControllerSettings, find("controllers", "table3"))
+    table = load_gain_table(DEFAULT_TABLES[name])
+    if name == "preview":
+        return PreviewMpc(chassis, steering, settings, table)
+    return LateralMpc(chassis, settings, table)
+
+
+def run(trial: Trial, name: str) -> Driven:
+    """Drive a trial with a controller.
+
+    Raises:
+        ValueError: The controller cannot take this path.
+    """
+    vehicle = believed_vehicle(trial)
+    scenario = scenario_of(trial, vehicle)
+    inner = controller(name, vehicle.chassis, vehicle.steering)
+    steering = Misaligned(inner, math.radians(trial.misaligned_deg))
+    finished = drive(plant(trial, vehicle, scenario), steering)
+    path = make_path(scenario.points)
+    error = errors(finished, path, vehicle.chassis.cg_to_rear_axle)[:, 0]
+    return Driven(finished, path, scenario, vehicle, error)
+
+
+def believed_vehicle(trial: Trial) -> Vehicle:
+    """Give the car that the controller knows."""
+    independent = trial.car == "independent"
+    vehicle = load_vehicle(find("vehicles", "ordinary" if independent else trial.car))
+    if independent:
+        chassis, steering = belief(INDEPENDENT)
+        return vehicle._replace(chassis=chassis, steering=steering)
+    known = replace(vehicle.steering, delay=trial.known_delay, lag=trial.known_lag)
+    return vehicle._replace(steering=known)
+
+
+def scenario_of(trial: Trial, vehicle: Vehicle) -> Scenario:
+    """Give what is to be driven."""
+    if trial.scenario.endswith(".csv"):
+        return from_csv(DATA / trial.scenario, trial.speed, LIMITS, LAPS)
+    scenario = load_scenario(trial.scenario, vehicle.size, trial.speed)
+    return scenario._replace(start_offset=trial.offset)
+
+
+def plant(trial: Trial, vehicle: Vehicle, scenario: Scenario) -> Simulation:
+    """Give the real car at the start of the drive."""
+    if trial.car == "independent":
+        disturbance = Disturbance(trial.delay, trial.friction or 1.0, trial.gust)
+        return cast(Simulation, IndependentSimulation(scenario, INDEPENDENT, disturbance))
+    steering = replace(vehicle.steering, delay=vehicle.steering.delay + trial.delay)
+    scaled = {key: getattr(vehicle.chassis, key) * factor for key, factor in trial.factors}
+    chassis = replace(vehicle.chassis, **scaled)
+    options: dict[str, Any] = {"friction": trial.friction}
+    if trial.seed is not None:
+        options["noise"] = load(MeasurementNoise, find("noise", "x1"))
+        options["rng"] = np.random.default_rng(trial.seed)
+    return Simulation(vehicle._replace(chassis=chassis, steering=steering), scenario, **options)
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def overlap(driven: Driven) -> float:
+    """Farthest that a side of the car reaches over a row of cones; negative: the room left [m].
+
+    The poses between the ticks follow cubic splines; the cones stand along the lanes without gaps.
+    """
+    chassis, size = driven.vehicle.chassis, driven.vehicle.size
+    states = [at_distance(s, chassis.cg_to_rear_axle) for s in driven.drive.states]
+    pose = np.array([state[1:4] for state in states])
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    time = ticks(driven.drive)
+    x, y, yaw = CubicSpline(time, pose)(np.linspace(0, time[-1], FINE * len(time))).T
+    front = chassis.cg_to_front_axle + size.front_overhang
+    rear = -chassis.cg_to_rear_axle - size.rear_overhang
+    worst = -math.inf
+    for along in np.linspace(rear, front, FINE):
+        for across in (-size.width / 2, size.width / 2):
+            X = x + along * np.cos(yaw) - across * np.sin(yaw)
+            Y = y + along * np.sin(yaw) + across * np.cos(yaw)
+            for lane in driven.scenario.lanes:
+                inside = (lane.start <= X) & (lane.end >= X)
+                over = np.maximum(Y - lane.left, lane.right - Y)
+                worst = float(np.max(over[inside], initial=worst))
+    return worst
+
+
+class Quantity(NamedTuple):
+    """Something to measure in a drive."""
+
+    label: str
+    measure: Callable[[Driven], float] | None = None
+    """None: it takes more than one drive."""
+
+
+QUANTITIES = {
+    "mse": Quantity("MSE [m2]", lambda d: float(np.mean(d.error**2))),
+    "rms": Quantity("RMS error [m]", lambda d: rms(d.error)),
+    "max": Quantity("largest error [m]", lambda d: float(np.abs(d.error).max())),
+    "last_5_s": Quantity("RMS of the last 5 s [m]", lambda d: rms(d.error[-50:])),
+    "last_3_s": Quantity("RMS of the last 3 s [m]", lambda d: rms(d.error[-30:])),
+    "diverged": Quantity("diverged", lambda d: float(not abs(d.error[-1]) < LOST)),
+    "activity": Quantity(
+        "steering, RMS increment [deg]", lambda d: rms(np.degrees(np.diff(d.drive.steering)))
+    ),
+    "swing": Quantity("swing of the wheel [deg]", lambda d: math.degrees(np.ptp(d.drive.steering))),
+    "overlap": Quantity("overlap with the cones [m]", overlap),
+    "added": Quantity("added to the largest error [m]"),
+    "fastest": Quantity("highest speed passed [km/h]"),
+    "radius": Quantity("spectral radius"),
+    "margin": Quantity("margin of unknown delay [s]"),
+}
