@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -20,6 +21,8 @@ from launch_scripts.comparison_figure import draw_comparison
 from launch_scripts.trials import DATA, QUANTITIES
 
 HEADINGS = ("case", "quantity", "bar", *BOTH, "holds")
+WIDTH = 120
+"""Of the printed table, at least [characters]."""
 Answers = dict[tuple[int, str], Measured]
 """By number of the case and name of the controller; empty where the controller cannot drive."""
 
@@ -94,7 +97,7 @@ def rows_of(cases: Sequence[Case], answers: Answers) -> list[Row]:
 
 def show(rows: Sequence[Row], console: Console) -> None:
     """Print the table."""
-    table = Table(*HEADINGS, title="preview beside paper", title_justify="left")
+    table = Table(*HEADINGS, box=SIMPLE_HEAD)
     group = ""
     for row in rows:
         if row.case.group != group:
@@ -149,6 +152,7 @@ def content(cases: Sequence[Case], answers: Answers) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, judge, show, write; gives 1 if a bar is not held."""
     chosen, console = options(arguments), Console(highlight=False)
+    console.width = max(console.width, WIDTH)
     cases = [case for case in all_cases() if case.group in chosen.only]
     if not DATA.is_dir():
         console.print(f"note: no recorded roads at {DATA}; these cases are left out")

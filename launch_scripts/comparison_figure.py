@@ -14,7 +14,7 @@ from launch_scripts.figure import BLUE, GREY, ORANGE
 from launch_scripts.trials import Driven, Trial, run
 
 mpl.use("Agg")
-STYLES = {"paper": (ORANGE, "-"), "preview": (BLUE, "-")}
+COLORS = {"paper": ORANGE, "preview": BLUE}
 LINEAR = 0.01
 """Up to this error the logarithmic axis is linear [m]."""
 LABELS = ("Y [m]", "cross-track error [m]", "steering [deg]")
@@ -24,10 +24,10 @@ def draw_comparison(scenarios: Sequence[str], file: File) -> None:
     """Draw path, error and steering of both controllers, a column for each scenario."""
     figure = Figure(figsize=(6.5 * len(scenarios), 9), layout="constrained", dpi=110)
     columns = figure.subplots(3, len(scenarios), squeeze=False).T
-    for axes, name in zip(columns, scenarios):
-        driven = {controller: run(Trial(name), controller) for controller in STYLES}
+    for axes, name in zip(columns, scenarios, strict=True):
+        driven = {controller: run(Trial(name), controller) for controller in COLORS}
         _column(axes, driven, name)
-    for ax, label in zip(columns[0], LABELS):
+    for ax, label in zip(columns[0], LABELS, strict=True):
         ax.set_ylabel(label)
     columns[0][0].legend(loc="best")
     figure.savefig(file)
@@ -35,8 +35,8 @@ def draw_comparison(scenarios: Sequence[str], file: File) -> None:
 
 def _column(axes: Sequence[Axes], driven: dict[str, Driven], name: str) -> None:
     place, error, steering = axes
-    for controller, (color, style) in STYLES.items():
-        _drive(axes, driven[controller], {"color": color, "linestyle": style, "label": controller})
+    for controller, color in COLORS.items():
+        _drive(axes, driven[controller], color, controller)
     path, end = driven["preview"].path, driven["preview"].drive.states[-1].x
     seen = path.x <= end
     place.plot(path.x[seen], path.y[seen], "--", color=GREY, label="path")
@@ -49,11 +49,10 @@ def _column(axes: Sequence[Axes], driven: dict[str, Driven], name: str) -> None:
         ax.margins(x=0)
 
 
-def _drive(axes: Sequence[Axes], driven: Driven, style: dict[str, str]) -> None:
+def _drive(axes: Sequence[Axes], driven: Driven, color: str, label: str) -> None:
     to_cg, time = driven.vehicle.chassis.cg_to_rear_axle, ticks(driven.drive)
     centre = np.array([at_distance(s, to_cg)[1:3] for s in driven.drive.states])
-    axes[0].plot(*centre.T, color=style["color"], label=style["label"])
-    axes[1].plot(time, driven.error, color=style["color"])
-    axes[2].plot(
-        time, np.degrees(driven.drive.steering), color=style["color"], drawstyle="steps-post"
-    )
+    axes[0].plot(*centre.T, color=color, label=label)
+    axes[1].plot(time, driven.error, color=color)
+    steering = np.degrees(driven.drive.steering)
+    axes[2].plot(time, steering, color=color, drawstyle="steps-post")

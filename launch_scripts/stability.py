@@ -78,7 +78,7 @@ def delay_margin(
 ) -> float:
     """Delay beyond the configured one at which the loop is just stable, up to 0.3 s [s]."""
     low, high = 0.0, 0.3
-    while high - low > 0.002:
+    while high - low > 0.0005:
         middle = (low + high) / 2
         plant = replace(steering, delay=steering.delay + middle)
         stable = spectral_radius(controller, chassis, plant, v_x) < 1.0
