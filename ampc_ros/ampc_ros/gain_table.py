@@ -63,11 +63,13 @@ class GainTable:
         """Give the gains at a speed [m/s] and a lateral reference [m].
 
         Integers come from the nearest node, with hysteresis; weights are interpolated in the
-        logarithm, the pole linearly. Outside the grid the edge counts.
+        logarithm, the pole linearly. Outside the grid the edge counts; an axis of one place is
+        none, its gains hold everywhere.
         """
         places = (speed, reference)
         outside = any(
-            not axis[0] <= p <= axis[-1] for axis, p in zip(self.axes, places, strict=True)
+            len(axis) > 1 and not axis[0] <= place <= axis[-1]
+            for axis, place in zip(self.axes, places, strict=True)
         )
         if len(self.nodes) == 1:
             return Lookup(self.nodes[0], outside)
