@@ -41,7 +41,8 @@ class PurePursuit:
     def _aim(self, rear: VehicleState) -> float:
         """atan(2 L sin(eta) / l_d): the circle through the rear axle, tangent to the car [rad]."""
         look_ahead = max(self.settings.look_ahead_time * rear.v_x, self.settings.min_look_ahead)
-        goal = point_at(self.rear.path, self.rear.advance(rear.x, rear.y) + look_ahead)
+        s = self.rear.advance(rear.x, rear.y, rear.yaw)
+        goal = point_at(self.rear.path, s + look_ahead)
         distance = max(math.hypot(goal.x - rear.x, goal.y - rear.y), 1e-6)
         eta = math.atan2(goal.y - rear.y, goal.x - rear.x) - rear.yaw
         return math.atan(2 * self.chassis.wheelbase * math.sin(eta) / distance)
