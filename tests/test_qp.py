@@ -119,13 +119,13 @@ def active_sets(m: int, n: int) -> Iterator[list[int]]:
 def test_exact_solver_agrees_with_scipy(seed: int) -> None:
     E, K, M, gamma = qp = random_problem(np.random.default_rng(100 + seed), "plain")
     options: Any = {"gtol": 1e-10, "xtol": 1e-12, "barrier_tol": 1e-11, "maxiter": 2000}
-    result = minimize(
-        lambda x: 0.5 * x @ E @ x + K @ x,
+    result: Any = minimize(
+        lambda x: float(0.5 * x @ E @ x + K @ x),
         np.zeros(len(K)),
-        jac=lambda x: E @ x + K,
+        jac=lambda x: np.asarray(E @ x + K),
         hess=lambda x: E,
         constraints=LinearConstraint(M, -np.inf, gamma),
-        method="trust-constr",
+        method="trust-constr",  # type: ignore[call-overload]
         options=options,
     )
     x = active_set(qp).x
