@@ -7,16 +7,22 @@ from contextlib import contextmanager
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 PATIENCE = 60.0
 """Wall time after which a wait has failed [s]."""
 
 
 @contextmanager
-def ros_context(**parameters: object) -> Iterator[SingleThreadedExecutor]:
-    """Join ROS with parameters for all nodes, which live in the executor that is given."""
-    arguments = [text for key, value in parameters.items() for text in ("-p", f"{key}:={value}")]
-    rclpy.init(args=["--ros-args", *arguments])
+def ros_context(*arguments: str, **parameters: object) -> Iterator[SingleThreadedExecutor]:
+    """Join ROS; gives the executor of the nodes, which are destroyed in the end.
+
+    Args:
+        arguments: Further ROS arguments, such as `-r` and `__ns:=/car`.
+        parameters: Of all nodes.
+    """
+    given = [text for key, value in parameters.items() for text in ("-p", f"{key}:={value}")]
+    rclpy.init(args=["--ros-args", *given, *arguments])
     executor = SingleThreadedExecutor()
     try:
         yield executor
@@ -26,12 +32,18 @@ def ros_context(**parameters: object) -> Iterator[SingleThreadedExecutor]:
         rclpy.shutdown()
 
 
+def add(executor: SingleThreadedExecutor, *nodes: Node) -> None:
+    """Let nodes live in an executor."""
+    for node in nodes:
+        executor.add_node(node)
+
+
 def spin_until(executor: SingleThreadedExecutor, condition: Callable[[], bool]) -> None:
     """Run the nodes until a condition holds, or one of them ends its process."""
     until = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < until, "waited in vain"
-        executor.spin_once(timeout_sec=0.1)
+        executor.spin_once(timeout_sec=0.05)
 
 
 def spin_to_the_end(executor: SingleThreadedExecutor) -> int:

@@ -1,7 +1,6 @@
 """What our nodes share: parameters with ranges, a report of their health, and a clean end."""
 
 import gc
-import math
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -100,7 +99,7 @@ def declare(node: Node, name: str, default: Any, description: str, allowed: Any 
         allowed: (low, high) of a number, or a list of words.
 
     Raises:
-        ValueError: The value is not allowed.
+        ValueError: The word is not one of them.
         ParameterException: The value has another type, or leaves the range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
@@ -115,8 +114,6 @@ def declare(node: Node, name: str, default: Any, description: str, allowed: Any 
     value = node.declare_parameter(name, default, descriptor).value
     if isinstance(allowed, list) and value not in allowed:
         raise ValueError(f"parameter {name} = {value!r} must be one of {', '.join(allowed)}")
-    if isinstance(value, float) and math.isnan(value):
-        raise ValueError(f"parameter {name} = {value} must be a number")
     return value
 
 
