@@ -17,6 +17,8 @@ SPACING = 0.25
 MAX_SAMPLES = 1_000_000
 MIN_GAP = 1e-3
 """Points closer than this to their predecessor are dropped as duplicates [m]."""
+ROUNDING = 1e-6
+"""By which lengths may differ where a path is moved or turned without becoming another [m]."""
 KNOT_GAP = 1.0
 """Smoothing: the spline has a knot every metre at most, so finer wiggles are averaged [m]."""
 MAX_LENGTH = 2.0e6
@@ -113,7 +115,8 @@ def _overlapped(corners: Array) -> Array:
 def _spline(chord: Array, corners: Array) -> Any:
     """Cubic spline over the chord length: interpolating, or least squares where points are fine."""
     knots = [0]
-    while (following := int(np.searchsorted(chord, chord[knots[-1]] + KNOT_GAP))) < len(chord):
+    gap = KNOT_GAP - ROUNDING  # else equal spacings that divide 1 m give other knots elsewhere
+    while (following := int(np.searchsorted(chord, chord[knots[-1]] + gap))) < len(chord):
         knots.append(following)
     if len(knots) < 6:
         degree = min(3, len(corners) - 1)
@@ -129,7 +132,7 @@ def _sampled(spline: Any, ends: tuple[float, float], origin: Array, closed: bool
     spacing = max(SPACING, span / MAX_SAMPLES)
     fine = np.linspace(*ends, 4 * math.ceil(span / spacing) + 1, dtype=np.float64)
     length = _arc_length(spline, fine)
-    count = math.ceil(length[-1] / spacing) + 1
+    count = math.ceil(length[-1] / spacing - ROUNDING) + 1
     parameter = np.interp(np.linspace(0.0, length[-1], count), length, fine)
     (x, y), (dx, dy), (ddx, ddy) = (spline(parameter, nu=order).T for order in (0, 1, 2))
     return Path(

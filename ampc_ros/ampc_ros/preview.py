@@ -26,10 +26,10 @@ from ampc_ros.model import Vehicle
 from ampc_ros.preview_model import (
     DELTA,
     STATES,
-    V_Y,
     Actuator,
     actuator_of,
     sampled_model,
+    side_acceleration,
     steady_steering,
 )
 from ampc_ros.preview_mpc import Past, Road, preview_plan
@@ -38,8 +38,9 @@ from ampc_ros.small_matrices import apply
 
 HOLD_BELOW = 0.3
 """Below this speed the steering holds [m/s]."""
-REVERSE_BELOW = -0.1
-"""Below this speed the car drives backwards, which this controller refuses to steer [m/s]."""
+REVERSE_BELOW = -0.3
+"""Below this speed the car drives backwards, which this controller refuses to steer; a standing
+car with noise does not [m/s]."""
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is learnt: below it the model is not the car's [m/s]."""
 DISTURBANCE_GAIN = np.array([0.3, 0.05, 0.3, 0.05, 0.3])
@@ -189,7 +190,7 @@ class PreviewMpc:
             heading_error=errors[1],
             curvature=curvature,
             feed_forward=steady_steering(self.vehicle, car.v_x, curvature),
-            disturbance=float(self.disturbance[V_Y]) / self.period,
+            disturbance=side_acceleration(self.vehicle, car.v_x, self.period, self.disturbance),
             mode=mode,
         )
 

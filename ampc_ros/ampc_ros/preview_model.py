@@ -91,6 +91,29 @@ def sampled_model(
 
 
 @compiled
+def side_acceleration(vehicle: Vehicle, v_x: float, T: float, change: Array) -> float:
+    """Lateral acceleration that explains an unmodelled change of v_y and r in a step [m/s^2].
+
+    A side force and a yaw moment that are held act through the tyres' damping: their share of the
+    change is the integral of e^(A t) over the step, not T.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        v_x: Longitudinal speed [m/s].
+        T: Step [s].
+        change: (5,) of the state in a step.
+    """
+    A_c, _ = lateral_dynamics(vehicle, v_x)
+    block = np.zeros((4, 4))
+    block[0, 0], block[0, 1] = A_c[V_Y, V_Y], A_c[V_Y, R]
+    block[1, 0], block[1, 1] = A_c[R, V_Y], A_c[R, R]
+    block[0, 2] = block[1, 3] = 1.0
+    G = matrix_exponential(block * T)[:2, 2:]
+    determinant = G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0]
+    return float((G[1, 1] * change[V_Y] - G[0, 1] * change[R]) / determinant)
+
+
+@compiled
 def understeer_gradient(vehicle: Vehicle) -> float:
     """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]."""
     m, _, l_f, l_r, C_f, C_r = vehicle
