@@ -1,4 +1,4 @@
-"""Set-up of the workspace: ``.venv``, the pinned requirements and the colcon build.
+"""Set-up of the workspace: ``.venv``, the pinned requirements, the colcon build, compiled code.
 
 ``python3 launch_scripts/bootstrap.py [--dev]`` may be run at any time: it does what is missing.
 Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere the ROS wheels are.
@@ -80,6 +80,7 @@ def bootstrap(*, dev: bool) -> None:
     sources = digest(file for package in PACKAGES for file in source_files(ROOT / package))
     if done(ROOT / "install") != {sources}:
         build()
+        compile_code()
         mark(ROOT / "install", {sources})
 
 
@@ -201,6 +202,14 @@ def build() -> None:
         cause = re.search(r"^\w*Error: .*", output, re.MULTILINE)
         line = cause[0] if cause else last_line(output)
         raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(ROOT)})")
+
+
+def compile_code() -> None:
+    """Compiles what numba compiles, so that the first drive does not have to."""
+    command = [str(PYTHON), "-m", "launch_scripts.compile_all"]
+    output, failed = run("compiling control tick and simulated car", command)
+    if failed:
+        raise SetupError(f"compiling failed: {last_line(output)} ({LOG.relative_to(ROOT)})")
 
 
 def run(title: str, command: Sequence[str]) -> tuple[str, bool]:

@@ -1,0 +1,25 @@
+"""Compiles control tick and simulated car once, so that no first run has to wait for it."""
+
+import sys
+import time
+
+from ampc_msgs_config.config import find
+from ampc_msgs_config.scenario import load_scenario
+from ampc_ros.controller import CONTROLLERS, Choices, make_controller
+from sim_vehicle.closed_loop import Simulation, drive
+from sim_vehicle.parameters import load_vehicle
+
+
+def main() -> int:
+    """Drive a moment with every controller; the machine code stays in the user's cache folder."""
+    begin = time.monotonic()
+    vehicle = load_vehicle(find("vehicles", Choices().vehicle))
+    scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)
+    for name in CONTROLLERS:
+        drive(Simulation(vehicle, scenario), make_controller(Choices(controller=name)))
+    print(f"compiled in {time.monotonic() - begin:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
