@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from ampc_msgs_config import path as path_module
 from ampc_msgs_config.path import (
@@ -23,7 +25,7 @@ from ampc_msgs_config.path import (
 RADIUS = 50.0
 
 
-def arc(angles: Array) -> Array:
+def arc(angles: NDArray[Any]) -> Array:
     """Points of a left-hand circle about (0, RADIUS) that starts at the origin."""
     return RADIUS * np.column_stack((np.sin(angles), 1 - np.cos(angles)))
 
@@ -90,8 +92,9 @@ def test_a_closed_path_goes_on_for_any_number_of_laps() -> None:
     path = make_path(arc(np.arange(0.0, math.tau, 0.02)))
     assert path.closed
     progress = Progress(path)
-    for angle in np.arange(0.0, 3 * math.tau, 0.05):
-        s = progress.advance(*arc(np.array([angle]))[0], yaw=angle)
+    for angle in np.arange(0.0, 3 * math.tau, 0.05).tolist():
+        x, y = arc(np.array([angle]))[0]
+        s = progress.advance(x, y, angle)
         assert s == pytest.approx(RADIUS * angle, abs=0.02)
     assert curvature_between(path, s - 10.0, s + 500.0) == pytest.approx(1 / RADIUS, rel=1e-3)
 
@@ -107,7 +110,7 @@ def test_where_a_path_crosses_itself_progress_decides() -> None:
     t = np.arange(0.0, math.tau, 0.01)
     eight = make_path(60.0 * np.column_stack((np.sin(t), np.sin(2 * t) / 2)))
     progress, last = Progress(eight), 0.0
-    for s in np.arange(0.0, 2 * eight.length, 1.0):
+    for s in np.arange(0.0, 2 * eight.length, 1.0).tolist():
         point = point_at(eight, s)
         found = progress.advance(point.x, point.y, point.heading)
         assert found == pytest.approx(s, abs=0.05)
@@ -134,10 +137,10 @@ def test_each_projection_looks_at_a_window_of_constant_size(
     x = np.arange(count, dtype=float)
     path = make_path(np.column_stack((x, 5 * np.sin(x / 100))))
     progress = Progress(path)
-    for place in np.linspace(0.1, 0.9, 5) * count:
+    for place in (np.linspace(0.1, 0.9, 5) * count).tolist():
         progress.advance(place, 5 * math.sin(place / 100), 0.0)
         windows.clear()
-        for ahead in np.arange(1.0, 30.0):
+        for ahead in range(1, 30):
             progress.advance(place + ahead, 5 * math.sin((place + ahead) / 100), 0.0)
         assert len(windows) == 29
         assert max(windows) <= (BEHIND + AHEAD) / path.spacing + 3

@@ -251,10 +251,8 @@ def test_side_wind_leaves_no_error_and_is_estimated() -> None:
     late = [command.diagnosis for command in commands[100:]]
     assert max(abs(d.cross_track_error) for d in late) < 0.01
     air = CAR.aerodynamics
-    relative = math.hypot(15.0, 15.0)  # the air meets the car from the side and from ahead
-    forces = [0.5 * air.air_density * air.side_area * w * 15.0 for w in (15.0, relative)]
-    low, high = min(forces) / CAR.chassis.mass, max(forces) / CAR.chassis.mass
-    assert 0.8 * low < late[-1].disturbance < 1.2 * high
+    force = 0.5 * air.air_density * air.side_area * 15.0**2
+    assert late[-1].disturbance == pytest.approx(force / CAR.chassis.mass, rel=0.05)
 
 
 hostile = st.builds(
