@@ -45,9 +45,15 @@ def bounded(
     return float(value)
 
 
-def other_scenario(name: str) -> dict[str, Any]:
-    """Read the scenario that `same_as` names."""
-    return config.read(config.find("scenarios", name))
+def borrowed(name: str, key: str) -> Any:
+    """Read the value of a key in the scenario that `same_as` names; it must be that one's own."""
+    file = config.find("scenarios", name)
+    value = config.read(file).get(key)
+    if value is None:
+        raise ValueError(f"{file}: missing key {key!r}")
+    if isinstance(value, Mapping) and (value.get("kind") == "same_as" or "same_as" in value):
+        raise ValueError(f"{file}: {key} is the same as another's: name that one")
+    return value
 
 
 Curve = Callable[[Array], Array]
@@ -69,7 +75,7 @@ def make_curve(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve,
 
 def _same_as(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
     stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
-    curve, lanes = make_curve(other_scenario(content["scenario"])["path"], size)
+    curve, lanes = make_curve(borrowed(content["scenario"], "path"), size)
     longer = (lane._replace(start=lane.start * stretch, end=lane.end * stretch) for lane in lanes)
     return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), tuple(longer)
 
@@ -79,6 +85,8 @@ def _graph(function: Callable[[Array], Array]) -> Curve:
 
 
 def _moves(content: Mapping[str, Any]) -> Curve:
+    if not isinstance(content["moves"], list):
+        raise ValueError(f"moves = {content['moves']!r} must be a list")
     rows = [_move(row) for row in content["moves"]]
     return _graph(lambda x: sum((by * q((x - at) / over) for at, over, by in rows), 0.0 * x))
 
@@ -174,7 +182,7 @@ def _iso3888(part: int, width: float) -> tuple[Curve, tuple[Lane, ...]]:
     end = edges[[2, 4]] + np.array([inner, outer]) * lengths[[2, 4]]
 
     def lateral(x: Array) -> Array:
-        rise, fall = (q((x - a) / (b - a)) for a, b in zip(begin, end))
+        rise, fall = (q((x - a) / (b - a)) for a, b in zip(begin, end, strict=True))
         return np.asarray(middle[0] + out * rise + back * fall)
 
     return _graph(lateral), lanes

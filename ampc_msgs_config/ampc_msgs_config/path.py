@@ -152,7 +152,7 @@ def _different_points(points: Array) -> Array:
         row = int(np.argwhere(~np.isfinite(points).all(axis=1))[0, 0])
         raise ValueError(f"path: point {row} = {points[row].tolist()} must be finite")
     gap = np.hypot(*np.diff(points, axis=0).T)
-    kept = points[np.concatenate(([True], gap > MIN_GAP))]
+    kept = points[np.concatenate(([True], gap > MIN_GAP))[: len(points)]]
     if len(kept) < 2:
         raise ValueError(f"path: {len(kept)} different points, at least 2 are needed")
     return np.asarray(kept)

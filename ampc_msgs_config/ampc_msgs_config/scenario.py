@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config import config
-from ampc_msgs_config.curves import Lane, bounded, check_known, make_curve, other_scenario, q
+from ampc_msgs_config.curves import Lane, borrowed, bounded, check_known, make_curve, q
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path import Array, Progress, make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
@@ -133,8 +133,6 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
         return _scenario(file.stem, content, size)
     except KeyError as error:
         raise ValueError(f"{file}: missing key {error}") from error
-    except RecursionError as error:
-        raise ValueError(f"{file}: same_as goes round in a circle") from error
     except (TypeError, ValueError) as error:
         raise ValueError(f"{file}: {error}") from error
 
@@ -159,7 +157,7 @@ def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Sc
 
 def _speed(content: Any) -> SpeedProfile:
     if isinstance(content, Mapping):
-        return _speed(other_scenario(content["same_as"])["speed"])
+        return _speed(borrowed(content["same_as"], "speed"))
     try:
         table = np.array(content, dtype=float)
     except (TypeError, ValueError):
@@ -183,7 +181,7 @@ def checked_profile(profile: SpeedProfile) -> SpeedProfile:
 
 def _wind(content: Any) -> tuple[Wind, ...]:
     if isinstance(content, Mapping):
-        return _wind(other_scenario(content["same_as"])["wind"])
+        return _wind(borrowed(content["same_as"], "wind"))
     if not isinstance(content, list):
         raise ValueError(f"wind = {content!r} must be a list")
     return tuple(_wind_piece(item) for item in content)
