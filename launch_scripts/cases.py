@@ -46,10 +46,11 @@ class Case(NamedTuple):
 
 
 def worst(trials: Sequence[Trial], quantities: Sequence[str], name: str) -> Measured:
-    """Drive all trials; give the largest of each quantity, nan where one is nan."""
+    """Drive all trials; give the largest of each quantity, and how many diverged."""
     driven = [run(trial, name) for trial in trials]
     measures = {key: QUANTITIES[key].measure for key in quantities}
-    return {key: float(np.max([m(d) for d in driven])) for key, m in measures.items() if m}
+    values = {key: [m(d) for d in driven] for key, m in measures.items() if m}
+    return {key: float((np.sum if key == "diverged" else np.max)(v)) for key, v in values.items()}
 
 
 def added(trial: Trial, without: Trial, name: str) -> Measured:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -104,7 +105,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
             group = row.case.group
             table.add_section()
             table.add_row(f"[bold]{group}[/]")
-        table.add_row(*row.cells, style=None if row.holds else "bold red")
+        table.add_row(*map(escape, row.cells), style=None if row.holds else "bold red")
     console.print(table)
 
 
@@ -118,19 +119,19 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def eigenvalue_table(cases: Sequence[Case], answers: Answers) -> str:
-    """Write spectral radius and margin of unknown delay [s] over speed; empty without cases."""
+    """Write spectral radius and margin of unknown delay over speed; empty without such cases."""
     found = {c.name: answers[i, "preview"] for i, c in enumerate(cases) if c.group == "eigenvalues"}
     if not found:
         return ""
-    heading = (
-        "| " + " | ".join(["speed [m/s]", *found]) + " |\n" + "|---" * (len(found) + 1) + "|\n"
-    )
-    text = "\nSpectral radius, and delay [s] beyond the configured one that is just stable:\n\n"
+    lines = [
+        "\nSpectral radius, and the unknown delay [s] with which the loop is just stable:\n",
+        "| " + " | ".join(["speed [m/s]", *found]) + " |",
+        "|---" * (len(found) + 1) + "|",
+    ]
     for v in SPEEDS:
-        pairs = [f"{m[f'radius at {v:g} m/s']:.3f}, {m[f'margin at {v:g} m/s']:.3f}"
-                 for m in found.values()]  # fmt: skip
-        heading += "| " + " | ".join([f"{v:g}", *pairs]) + " |\n"
-    return text + heading
+        pairs = [(m[f"radius at {v:g} m/s"], m[f"margin at {v:g} m/s"]) for m in found.values()]
+        lines.append(" | ".join([f"| {v:g}", *(f"{r:.3f}, {s:.3f}" for r, s in pairs)]) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def content(cases: Sequence[Case], answers: Answers) -> list[dict[str, Any]]:

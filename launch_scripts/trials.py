@@ -193,9 +193,7 @@ QUANTITIES = {
     "max": Quantity("largest error [m]", lambda d: float(np.abs(d.error).max())),
     "last_5_s": Quantity("RMS of the last 5 s [m]", lambda d: rms(d.error[-50:])),
     "last_3_s": Quantity("RMS of the last 3 s [m]", lambda d: rms(d.error[-30:])),
-    "diverged": Quantity(
-        "diverged (1: at least one)", lambda d: float(not abs(d.error[-1]) < LOST)
-    ),
+    "diverged": Quantity("number that diverged", lambda d: float(not abs(d.error[-1]) < LOST)),
     "activity": Quantity(
         "steering, RMS increment [deg]", lambda d: rms(np.degrees(np.diff(d.drive.steering)))
     ),
