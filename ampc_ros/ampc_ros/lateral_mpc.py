@@ -24,9 +24,6 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """[m/s^2]"""
-FRICTION_SHARE = 1.3
-"""The angle of a linear tyre at this share of the friction is the bound: the real tyre's curve
-flattens towards its peak, which lies at about this multiple of the linear angle."""
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the solver would lose its digits."""
 
@@ -42,7 +39,7 @@ class Limits(NamedTuple):
     exact: bool
     sweeps: int
     tolerance: float
-    a_y_max: float
+    mu_g: float
 
 
 class Tick(NamedTuple):
@@ -213,7 +210,7 @@ def limits_of(settings: ControllerSettings, steering: SteeringParameters | None 
         settings.solver == "active_set",
         int(settings.hildreth_sweeps),
         settings.hildreth_tolerance,
-        FRICTION_SHARE * settings.friction * GRAVITY,
+        settings.friction * GRAVITY,
     )
 
 

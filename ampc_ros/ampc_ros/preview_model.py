@@ -127,6 +127,26 @@ def steady_steering(vehicle: Vehicle, v_x: float, curvature: float) -> float:
 
 
 @compiled
+def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float) -> float:
+    """Angle that keeps the centre of gravity on a bend that opens or closes [rad].
+
+    Eq. (7) solved for delta with e_y = 0: a_y = v^2 kappa fixes the sum of the axle forces and
+    I_z r' their moment, with side-slip b kappa and yaw rate v kappa - b kappa' to first order.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        v_x: Speed [m/s].
+        curvature: kappa [1/m].
+        change: kappa' [1/(m s)].
+    """
+    m, I_z, l_f, l_r, C_f, C_r = vehicle
+    L, v = l_f + l_r, max(v_x, MIN_SPEED)
+    b = l_r - l_f * m * v**2 / (2 * C_r * L)
+    inertia = I_z * v / L * (1 / (2 * C_f) + 1 / (2 * C_r))
+    return steady_steering(vehicle, v_x, curvature) + (inertia - L * b / v) * change
+
+
+@compiled
 def angle_bound(vehicle: Vehicle, v_x: float, u_max: float, a_y_max: float) -> float:
     """Bound of the angle that follows the tyre: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
     v = max(v_x, MIN_SPEED)

@@ -21,7 +21,7 @@ from ampc_ros.preview_model import (
     Actuator,
     angle_bound,
     sampled_model,
-    steady_steering,
+    road_steering,
 )
 from ampc_ros.qp import Qp, QpSolution
 from ampc_ros.small_matrices import apply, dot, product
@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon for which the model is not rebuilt."""
+FRICTION_SHARE = 1.3
+"""The angle of a linear tyre at this share of the friction is the bound: the real tyre's curve
+flattens towards its peak, which lies at about this multiple of the linear angle."""
 HEAD_START = 0.1
 """Cross-track error that is to vanish within the horizon [m]."""
 RETURN_RATE = 1.0
@@ -85,22 +88,32 @@ def angle_bounds(vehicle: Vehicle, road: Road, u_max: float, a_y_max: float) -> 
 
 
 @compiled
-def nominal_steering(vehicle: Vehicle, road: Road, u: float, bounds: Array, step: float) -> Array:
+def nominal_steering(
+    vehicle: Vehicle, road: Road, u: float, bounds: Array, limits: Limits
+) -> Array:
     """Angles (H,) without a correction: the angle in force, on with the road's bends [rad].
 
-    Follows the changes of the steady-state angle along the road, within the bounds and within
-    `step` per tick. A bound that is left already is approached as fast as `step` allows, so
+    Follows the changes of the angle that the road asks for, within the bounds and within
+    the largest increment. A bound that is left already is approached as fast as that allows, so
     the sequence is feasible by construction.
     """
-    nominal = np.empty(len(bounds))
-    offset = u - steady_steering(vehicle, road.speed[0], road.curvature[0])
+    nominal, step = np.empty(len(bounds)), limits.Delta_u_max
+    offset = u - road_angle(vehicle, road, 0, limits.T)
     before = u
     for i in range(len(bounds)):
-        wanted = offset + steady_steering(vehicle, road.speed[i + 1], road.curvature[i + 1])
+        wanted = offset + road_angle(vehicle, road, i + 1, limits.T)
         wanted = min(max(wanted, -bounds[i]), bounds[i])
         before = min(max(wanted, before - step), before + step)
         nominal[i] = before
     return nominal
+
+
+@compiled
+def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
+    """Angle that the road asks for at entry i of the horizon [rad]."""
+    before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
+    change = (road.curvature[after] - road.curvature[before]) / ((after - before) * T)
+    return road_steering(vehicle, road.speed[i], road.curvature[i], change)
 
 
 @compiled
@@ -215,8 +228,8 @@ def preview_plan(
     """
     _, N_c, N, alpha, Q, R = gains
     u, H = past.sent[len(past.sent) - 1], len(road.speed) - 1
-    bounds = angle_bounds(vehicle, road, limits.u_max, limits.a_y_max)
-    nominal = nominal_steering(vehicle, road, u, bounds, limits.Delta_u_max)
+    bounds = angle_bounds(vehicle, road, limits.u_max, FRICTION_SHARE * limits.mu_g)
+    nominal = nominal_steering(vehicle, road, u, bounds, limits)
     L = laguerre_sequence(alpha, N, N_c)
     free, Phi = predict_on_road(vehicle, actuator, limits.T, past, road, nominal, running_sum(L))
     v, e_y_rate = road.speed[1], past.x[V_Y] + road.speed[1] * past.x[E_PSI]
