@@ -1,7 +1,9 @@
 """What our nodes share: parameters with ranges, a report of their health, and a clean end."""
 
 import gc
+import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -10,9 +12,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config import ros
@@ -22,6 +25,8 @@ from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 
 PARAMETER_EVENTS = "/parameter_events"
+DELIVERY = 4.0
+"""Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
 
 
 class BaseNode(Node):
@@ -43,6 +48,7 @@ class BaseNode(Node):
         self.wait_for_recorder: bool = declare(
             self, "wait_for_recorder", False, "drive only when a recorder listens to this node"
         )
+        self.is_recorded = False
         self.trouble = ""
         self.rejected = 0
         self.diagnostics = self.create_publisher(DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE)
@@ -57,13 +63,20 @@ class BaseNode(Node):
         if not self.wait_for_recorder:
             return []
         topics = {each.topic_name for each in self.publishers} - {PARAMETER_EVENTS}
-        missing = [topic for topic in sorted(topics) if not self._is_recorded(topic)]
-        self.wait_for_recorder = bool(missing)
+        missing = [topic for topic in sorted(topics) if not self._hears(topic)]
+        self.wait_for_recorder, self.is_recorded = bool(missing), not missing
         return missing
 
-    def _is_recorded(self, topic: str) -> bool:
+    def _hears(self, topic: str) -> bool:
         listeners = self.get_subscriptions_info_by_topic(topic)
         return any(listener.node_name == "recorder" for listener in listeners)
+
+    def deliver(self) -> None:
+        """Wait until the recorder has all that this node has published, where it was waited for."""
+        until = time.monotonic() + (DELIVERY if self.is_recorded else 0.0)
+        for publisher in self.publishers:
+            rest = max(until - time.monotonic(), 0.0)
+            publisher.wait_for_all_acked(Duration(seconds=rest))
 
     def reject(self, error: ValueError) -> None:
         """Count and report an input that is not used."""
@@ -137,41 +150,47 @@ def declare_scenario(node: Node) -> Scenario:
     return choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
 
 
-def spin(make_node: Callable[[], Node]) -> int:
+def spin(make_node: Callable[[], BaseNode]) -> int:
     """Run one node until it ends itself, or is told to; gives the exit code of the process.
 
-    A set-up that is wrong ends in one line on stderr and exit code 2.
+    A set-up that is wrong ends in one line on stderr and exit code 2. Signals are handled here:
+    rclpy would end the middleware before the last words are delivered.
     """
-    node = None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         _init()
         node = make_node()
-        gc.collect()
-        gc.freeze()  # what lives now lives on: a full collection would only delay a tick
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        return _spin(node)
+    except KeyboardInterrupt:
         return 0
-    except SystemExit as end:
-        _deliver(node)
-        return int(end.code or 0)
     except (ValueError, ParameterException) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
         return 2
     finally:
-        if node is not None:
-            node.destroy_node()
         rclpy.try_shutdown()
-    return 0
 
 
 def _init() -> None:
     try:
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise ValueError(error) from error
 
 
-def _deliver(node: Node | None) -> None:
-    """Wait until everybody has what a node has published."""
-    for publisher in node.publishers if node is not None else ():
-        publisher.wait_for_all_acked(Duration(seconds=1))
+def _spin(node: BaseNode) -> int:
+    """Run a node; gives the exit code that it ends itself with, or 0."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    gc.collect()
+    gc.freeze()  # what lives now lives on: a full collection would only delay a tick
+    try:
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+    except KeyboardInterrupt:
+        return 0
+    except SystemExit as end:
+        return int(end.code or 0)
+    finally:
+        node.deliver()
+        node.destroy_node()
