@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.table import Table
+from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
@@ -78,7 +79,7 @@ def judge(run: Run, ended: str) -> Table:
 
 def table(title: str, metrics: dict[str, float]) -> Table:
     """Lay the numbers out for the terminal; what is not defined for a path is left out."""
-    result = Table(title=title, title_justify="left")
+    result = Table(title=Text(title), title_justify="left")
     for heading in ("quantity", "value", "unit"):
         result.add_column(heading, justify="right" if heading == "value" else "left")
     for key, (label, unit) in LABELS.items():

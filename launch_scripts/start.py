@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run = prepare(chosen)
     except ValueError as error:
-        console.print(f"[red]error:[/] {error}")
+        complain(console, error)
         return WRONG_SET_UP
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
@@ -178,18 +179,23 @@ def is_over(nodes: Processes) -> bool:
     return False
 
 
+def complain(console: Console, error: Exception) -> None:
+    """Print one sentence."""
+    console.print(Text.assemble(("error:", "red"), f" {error}"))
+
+
 def finish(run: Run, ending: Ending, console: Console) -> int:
     """Judge what was driven, show it, and give the exit code."""
     if ending.code:
-        console.print(f"[red]error:[/] {ending}")
+        complain(console, ending)
     if ending.code == WRONG_SET_UP:
         shutil.rmtree(run.folder)
         return ending.code
     try:
         console.print(judge(run, str(ending)))
-        console.print(f"bag, metrics.json, drive.png and logs: {run.folder}")
+        console.print(f"bag, metrics.json, drive.png and logs: {run.folder}", markup=False)
     except ValueError as error:
-        console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}")
+        console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}", markup=False)
         return ending.code or 1
     return ending.code
 
