@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path as File
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -17,7 +18,9 @@ from ampc_msgs_config.scenario import SPEED_PREVIEW
 from ampc_msgs_config.types import at_distance
 
 mpl.use("Agg")
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#999999"  # colour-blind safe (Okabe and Ito)
+BLUE, ORANGE = "#0072B2", "#D55E00"  # colour-blind safe (Okabe and Ito)
+WANTED: dict[str, Any] = {"color": "#CCCCCC", "linewidth": 4}
+"""Style of what was asked for: it is seen behind a car that does exactly that."""
 NARROWEST = 0.5
 """Smallest offset from the chord that fills the picture [m]."""
 
@@ -36,7 +39,7 @@ def draw(
     """
     figure = Figure(figsize=(10, 11), layout="constrained", dpi=110)
     figure.suptitle(title, fontsize=13)
-    place, *axes = figure.subplots(4, 1, height_ratios=(1.8, 1, 1, 1))
+    place, *axes = figure.subplots(4, 1, height_ratios=(2, 1, 1, 1))
     centre = np.array([at_distance(s, base_link_to_cg)[1:3] for s in log.drive.states])
     try:
         _along_chord(place, path_frame(log.path), centre, lanes)
@@ -49,7 +52,7 @@ def draw(
     _over_time(axes[1], time, steering, "steering command [deg]", step=True)
     speed = np.array([state.v_x for state in log.drive.states])
     label = f"target, {SPEED_PREVIEW:g} s ahead"
-    axes[2].plot(*log.target_speed.T, "--", color=GREY, label=label)
+    axes[2].plot(*log.target_speed.T, **WANTED, label=label)
     _over_time(axes[2], time, speed, "speed [m/s]", label="car")
     axes[2].set_ylim(0, 1.1 * max(speed.max(), log.target_speed[:, 1].max()))
     axes[2].set_xlabel("time [s]")
@@ -69,6 +72,7 @@ def _along_chord(ax: Axes, frame: PathFrame, centre: Array, lanes: Sequence[Lane
     _path_and_car(ax, np.column_stack((frame.X, frame.Y))[seen], car)
     bottom, top = ax.get_ylim()
     ax.set_ylim(min(bottom, -NARROWEST), max(top, NARROWEST))
+    ax.margins(x=0.01)
     ax.set_xlabel("distance along the chord of the path [m]")
     ax.set_ylabel("offset to its left [m]")
 
@@ -87,7 +91,7 @@ def _map(ax: Axes, path: Array, centre: Array) -> None:
 
 
 def _path_and_car(ax: Axes, path: Array, car: Array) -> None:
-    ax.plot(*path.T, "--", color=GREY, label="reference")
+    ax.plot(*path.T, **WANTED, label="reference")
     ax.plot(*car.T, color=BLUE, label="car (centre of gravity)")
     ax.plot(*car[0], "o", color=ORANGE, label="start")
     ax.grid(alpha=0.3)
