@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_ros.model import MIN_SPEED, Vehicle, lateral_dynamics, matrix_exponential
-from ampc_ros.small_matrices import apply, product
+from ampc_ros.small_matrices import apply, product, put
 
 Array = NDArray[np.float64]
 
@@ -51,13 +51,13 @@ def continuous_model(vehicle: Vehicle, v_x: float, lag: float) -> Array:
     """
     A_c, B_c = lateral_dynamics(vehicle, v_x)
     block = np.zeros((STATES + 2, STATES + 2))
-    block[:4, :4] = A_c
+    for i in range(4):
+        put(block[i], A_c[i])
+        block[i, DELTA if lag > 0.0 else STATES] = B_c[i]
     block[E_PSI, STATES + 1] = -max(v_x, MIN_SPEED)
     if lag > 0.0:
-        block[:4, DELTA] = B_c
         block[DELTA, DELTA], block[DELTA, STATES] = -1.0 / lag, 1.0 / lag
     else:
-        block[:4, STATES] = B_c
         block[DELTA, DELTA] = -GONE
     return block
 

@@ -24,7 +24,7 @@ from ampc_ros.preview_model import (
     sampled_model,
 )
 from ampc_ros.qp import Qp, QpSolution
-from ampc_ros.small_matrices import apply, dot, product
+from ampc_ros.small_matrices import apply, dot, product, put
 
 Array = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def predict_on_road(
         if j >= n:
             add_outer(response, B_new, S[min(j - n, len(S) - 1)])
         free[j] = x[E_Y]
-        Phi[j] = response[E_Y]
+        put(Phi[j], response[E_Y])
     return free, Phi
 
 
