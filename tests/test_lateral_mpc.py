@@ -92,6 +92,16 @@ def test_commands_are_those_of_a_textbook_implementation(left: float) -> None:
         assert mpc.step(rear, ROAD).steering == pytest.approx(u, abs=1e-7)
 
 
+def test_car_that_spins_through_the_opposite_heading_has_turned_by_a_little() -> None:
+    mpc = controller()
+    rears = [state(tick, 0.3, yaw) for tick, yaw in enumerate((math.pi - 0.01, 0.01 - math.pi))]
+    u = mpc.step(rears[0], ROAD).steering
+    one, other = (at_distance(rear, CHASSIS.cg_to_rear_axle) for rear in rears)
+    x = np.array([0.0, 0.02, 0.0, other.y - one.y, other.y])
+    expected = u + textbook_move(x, 0.0, u, 9.0, GENTLE)
+    assert mpc.step(rears[1], ROAD).steering == pytest.approx(expected, abs=1e-7)
+
+
 @pytest.mark.parametrize("name", ["paper", "classic"])
 def test_car_on_its_set_point_is_not_steered(name: str) -> None:
     mpc = make_controller(Choices(name))
