@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Array, make_path
+from ampc_msgs_config.path_frame import path_frame
 from ampc_msgs_config.types import VehicleState, at_distance
 from ampc_ros.controller import CLASSIC_SPEED, CONTROLLERS, Choices, make_controller, warm_up
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
@@ -188,11 +189,12 @@ def test_classic_controller_is_the_adaptive_one_with_its_model_at_one_speed() ->
 def test_new_path_keeps_the_angle_and_forgets_the_last_increment() -> None:
     mpc, fresh = controller(), controller()
     for tick in range(5):
-        mpc.step(state(tick, left=1.0), ROAD)
+        mpc.step(state(tick, left=0.1), ROAD)
     fresh.steering = mpc.steering
-    elsewhere = make_path([(0.0, -2.0), (200.0, -2.0)])
-    expected = fresh.step(state(5, left=1.0), elsewhere).steering
-    assert mpc.step(state(5, left=1.0), elsewhere).steering == expected
+    elsewhere = make_path([(0.0, -0.1), (200.0, -0.1)])
+    expected = fresh.step(state(5, left=0.1), elsewhere).steering
+    assert mpc.step(state(5, left=0.1), elsewhere).steering == expected
+    assert abs(mpc.steering) < SETTINGS.max_angle  # no bound hides the difference
 
 
 def test_reset_controller_is_as_a_new_one() -> None:
@@ -221,6 +223,17 @@ def test_diagnosis_tells_errors_gains_rows_and_table() -> None:
     assert diagnosis.outside_table
     for name, value in GENTLE._asdict().items():
         assert getattr(diagnosis, name) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("v_x", "x"), [(5.0, 10.0), (12.0, 10.0), (9.0, 75.0)])
+def test_gains_are_those_of_the_speed_and_the_set_point(v_x: float, x: float) -> None:
+    nodes = [GENTLE._replace(increment_weight=R) for R in (10.0, 20.0, 40.0, 80.0)]
+    axes = [5.0, 15.0], [-3.0, 3.0]
+    mpc = LateralMpc(CHASSIS, SETTINGS, GainTable(*axes, nodes), base_link_to_cg=0.0)
+    car = VehicleState(0, x, 0.0, 0.0, v_x, 0.0, 0.0)
+    frame = path_frame(BEND)
+    expected = GainTable(*axes, nodes).lookup(v_x, frame.set_point(frame.place(car)[0])).gains
+    assert mpc.step(car, BEND).diagnosis.increment_weight == expected.increment_weight
 
 
 def test_path_against_its_chord_is_refused_and_the_old_one_goes_on() -> None:
