@@ -86,7 +86,9 @@ class Recorder(Node):
             simulated=bool(self.get_parameter("use_sim_time").value),
             clock=self.resolve_topic_name(ros.CLOCK),
             command=self.resolve_topic_name(ros.STEERING_COMMAND),
-            quantities={self.resolve_topic_name(name) for name in (*QUANTITIES, ros.PREDICTED_PATH)},
+            quantities={
+                self.resolve_topic_name(name) for name in (*QUANTITIES, ros.PREDICTED_PATH)
+            },
         )
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
