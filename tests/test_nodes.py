@@ -1,6 +1,7 @@
 """The nodes one by one: parameters, bad inputs, clocks, names, lost peers, no late compiling."""
 
 import multiprocessing
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -141,6 +142,7 @@ def test_a_wrong_value_ends_a_node_with_one_line_that_names_it(
     (tmp_path / "road.csv").write_text("x_m,y_m\n0,0\nx,0\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", value])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its own
     assert spin(make_node) == 2
     said = capfd.readouterr()
     assert said.err.startswith("error: ")

@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -156,12 +157,18 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
     A set-up that is wrong ends in one line on stderr and exit code 2. Signals are handled here:
     rclpy would end the middleware before the last words are delivered.
     """
+    signals: list[int] = []
+
+    def on_signal(number: int, _: Any) -> None:
+        signals.append(number)
+        if len(signals) == 1:
+            raise KeyboardInterrupt  # which compiling may swallow
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, on_signal)
     try:
         _init()
-        node = make_node()
-        return _spin(node)
+        return _spin(make_node(), signals)
     except KeyboardInterrupt:
         return 0
     except (ValueError, ParameterException) as error:
@@ -178,16 +185,16 @@ def _init() -> None:
         raise ValueError(error) from error
 
 
-def _spin(node: BaseNode) -> int:
-    """Run a node; gives the exit code that it ends itself with, or 0."""
+def _spin(node: BaseNode, signals: list[int]) -> int:
+    """Run a node until a signal comes; gives the exit code that it ends itself with, or 0."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     gc.collect()
     gc.freeze()  # what lives now lives on: a full collection would only delay a tick
     try:
-        while True:
-            executor.spin_once(timeout_sec=0.1)
-    except KeyboardInterrupt:
+        with suppress(KeyboardInterrupt):
+            while not signals:
+                executor.spin_once(timeout_sec=0.1)
         return 0
     except SystemExit as end:
         return int(end.code or 0)
