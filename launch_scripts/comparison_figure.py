@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.types import at_distance
-from launch_scripts.figure import BLUE, GREY, ORANGE
+from launch_scripts.figure import BLUE, ORANGE, WANTED
 from launch_scripts.trials import Driven, Trial, run
 
 mpl.use("Agg")
@@ -39,7 +39,7 @@ def _column(axes: Sequence[Axes], driven: dict[str, Driven], name: str) -> None:
         _drive(axes, driven[controller], color, controller)
     path, end = driven["preview"].path, driven["preview"].drive.states[-1].x
     seen = path.x <= end
-    place.plot(path.x[seen], path.y[seen], "--", color=GREY, label="path")
+    place.plot(path.x[seen], path.y[seen], label="path", zorder=0, **WANTED)
     place.set_title(name)
     place.set_xlabel("X [m]")
     error.set_yscale("symlog", linthresh=LINEAR)
