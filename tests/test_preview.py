@@ -296,3 +296,48 @@ def test_the_loop_is_stable_at_every_speed(car: Vehicle, delay: float) -> None:
         assert spectral_radius(controller, car.chassis, steering, v) < 0.97, v
         if delay == 0.0:
             assert delay_margin(controller, car.chassis, steering, v) >= 0.078, v
+
+
+def test_a_wheel_that_is_stuck_holds_the_command_back() -> None:
+    limits = load(ControllerSettings, find("controllers", "table3"))
+    table = load_gain_table("preview")
+    controller = PreviewMpc(ORDINARY.chassis, ORDINARY.steering, limits, table)
+    step = ORDINARY.steering.max_rate * limits.sample_time
+    angles = []
+    for k in range(30):
+        controller.observe_steering(0.0)
+        state = state_at(100.0, -5.0, yaw=-0.5, v_x=5.0, k=k)
+        angles.append(controller.step(state, STRAIGHT).steering)
+    assert 1.5 * step < max(angles) <= 2.0 * step + 1e-12
+
+
+class Measuring:
+    """A controller that is told the measured angle before each step."""
+
+    def __init__(self, controller: PreviewMpc, simulation: Simulation) -> None:
+        """Measure on the car of a simulation."""
+        self.controller, self.simulation = controller, simulation
+        self.period = controller.period
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Tell, then answer."""
+        self.controller.observe_steering(self.simulation.car.steering)
+        return self.controller.step(state, path)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.1, 0.1)])
+def test_a_measured_angle_that_moves_as_expected_changes_hardly_anything(
+    delay: float, lag: float
+) -> None:
+    car = CAR._replace(steering=replace(CAR.steering, delay=delay, lag=lag))
+    limits = load(ControllerSettings, find("controllers", "table3"))
+
+    def fresh() -> tuple[PreviewMpc, Simulation]:
+        controller = PreviewMpc(car.chassis, car.steering, limits, load_gain_table("preview"))
+        return controller, Simulation(car, load_scenario("sc2", car.size))
+
+    controller, simulation = fresh()
+    alone = drive(simulation, controller).steering
+    controller, simulation = fresh()
+    measured = drive(simulation, Measuring(controller, simulation)).steering
+    assert np.abs(alone - measured).max() < math.radians(0.05)

@@ -172,8 +172,15 @@ class PreviewMpc:
         return Command(car.stamp_ns, self.steering, rate, diagnosis, points)
 
     def observe_steering(self, angle: float) -> None:
-        """Take the measured road-wheel angle [rad] in place of the one that the model expects."""
+        """Take the measured road-wheel angle [rad] in place of the one that the model expects.
+
+        A command may be ahead of it by what the steering still has to do: one tick, delay and lag
+        at the largest rate. Where the wheel is held or stuck, the next step starts from there.
+        """
         self.delta = angle
+        behind = 1.0 + self.actuator.ticks + self.actuator.share + self.actuator.lag / self.period
+        reach = behind * self.limits.Delta_u_max
+        self.sent[-1] = min(max(self.steering, angle - reach), angle + reach)
 
     def _place(
         self, path: Path, s: float, car: VehicleState, errors: tuple[float, float]
