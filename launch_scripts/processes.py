@@ -44,9 +44,9 @@ class Processes:
         self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
         """End all at once, and the one that was started first, the recorder, after them."""
-        first, *others = self.running.values()
-        end(others)
-        end([first])
+        nodes = list(self.running.values())
+        end(nodes[1:])
+        end(nodes[:1])
 
     def start(self, name: str, module: str, parameters: Mapping[str, object]) -> None:
         """Start a node: `python -m module` with ROS parameters."""

@@ -1,6 +1,8 @@
 """Drive once over ROS 2: simulator, planner, controller and recorder, then the result.
 
-`python launch_scripts/start.py --scenario sc2`, or `--path my_road.csv --speed 9`.
+`python launch_scripts/start.py --scenario sc2`, or `--path my_road.csv --speed 9`. The exit code
+is 0 after a whole drive, 1 where a node died, 2 where an option is wrong, 3 where a node fell
+silent, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 import argparse
@@ -76,19 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Drive, judge, show; gives the exit code."""
     chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
     os.environ.update(ros_environment())
-    ending = Ending("completed", 0)
-    try:
-        run = prepare(chosen)
-    except ValueError as error:
-        complain(console, error)
-        return WRONG_SET_UP
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     try:
-        drive(run, console)
-    except Ending as early:
-        ending = early
-    return finish(run, ending, console)
+        run = prepare(chosen)
+        return finish(run, drive(run, console), console)
+    except ValueError as error:
+        complain(console, error)
+        return WRONG_SET_UP
+    except Ending as ending:
+        complain(console, ending)
+        return ending.code
 
 
 def prepare(chosen: argparse.Namespace) -> Run:
@@ -125,12 +125,8 @@ def interrupt(number: int, _: Any) -> NoReturn:
     raise Ending(f"interrupted by {signal.Signals(number).name}", 128 + number)
 
 
-def drive(run: Run, console: Console) -> None:
-    """Start the nodes, follow the drive, end the nodes.
-
-    Raises:
-        Ending: A node has ended that should not have, or a signal came.
-    """
+def drive(run: Run, console: Console) -> Ending:
+    """Start the nodes, follow the drive, end the nodes; tells how it ended."""
     given = run.options
     lock_step = not given["real_time"]
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
@@ -139,12 +135,16 @@ def drive(run: Run, console: Console) -> None:
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
-    with Processes(run.folder / "log") as nodes:
-        nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
-        nodes.start("planner", "ampc_ros.planner_node", common | route)
-        nodes.start("controller", "ampc_ros.controller_node", common | control)
-        nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
-        follow(nodes, run.scenario, console)
+    try:
+        with Processes(run.folder / "log") as nodes:
+            nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
+            nodes.start("planner", "ampc_ros.planner_node", common | route)
+            nodes.start("controller", "ampc_ros.controller_node", common | control)
+            nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+            follow(nodes, run.scenario, console)
+    except Ending as ending:
+        return ending
+    return Ending("completed", 0)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
@@ -188,14 +188,14 @@ def finish(run: Run, ending: Ending, console: Console) -> int:
     """Judge what was driven, show it, and give the exit code."""
     if ending.code:
         complain(console, ending)
-    if ending.code == WRONG_SET_UP:
-        shutil.rmtree(run.folder)
-        return ending.code
     try:
         console.print(judge(run, str(ending)))
         console.print(f"bag, metrics.json, drive.png and logs: {run.folder}", markup=False)
     except ValueError as error:
-        console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}", markup=False)
+        if ending.code == WRONG_SET_UP:
+            shutil.rmtree(run.folder)
+        else:
+            console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}", markup=False)
         return ending.code or 1
     return ending.code
 

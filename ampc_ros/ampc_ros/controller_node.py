@@ -33,7 +33,7 @@ class ControllerNode(BaseNode):
             name: self.create_publisher(Float64, f"~/debug/{name}", ros.RELIABLE)
             for name in ros.DEBUG_QUANTITIES
         }
-        qos = ros.RELIABLE if self.lock_step else ros.COMMAND
+        qos = ros.RELIABLE if self.lock_step else ros.COMMAND  # a fast drive is recorded whole
         self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, qos)
         self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
         self.predictions = self.create_publisher(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
