@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
-from ampc_msgs_config.path import Array, make_path
+from ampc_msgs_config.path import Array
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 from ampc_ros.preview import PreviewMpc
 from ampc_ros.preview_model import STATES, actuator_of, sampled_model

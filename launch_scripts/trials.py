@@ -12,8 +12,9 @@ from scipy.interpolate import CubicSpline
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive, errors, ticks
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.path import Array, Path, make_path
+from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_file import SpeedLimits, from_csv
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
 from ampc_msgs_config.types import Command, VehicleState, at_distance
 from ampc_ros.controller import DEFAULT_TABLES

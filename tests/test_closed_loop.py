@@ -11,9 +11,9 @@ import pytest
 from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import Drive, errors, evaluate
 from ampc_msgs_config.path import Path as ReferencePath
-from ampc_msgs_config.path import make_path
 from ampc_msgs_config.path_file import from_csv
 from ampc_msgs_config.path_frame import rotate
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, load_scenario
 from ampc_msgs_config.types import Command, VehicleState, at_distance
 from ampc_ros.controller import Choices, make_controller
@@ -166,7 +166,7 @@ def test_half_the_integration_step_changes_sc1_by_less_than_a_thousandth(control
 def test_standing_car_stays_where_it_is_under_finite_commands(
     controller: str, offset: float
 ) -> None:
-    still = SpeedProfile("time", np.array([0.0]), np.array([0.0]))
+    still = SpeedProfile(False, np.array([0.0]), np.array([0.0]))
     route = scenario("sc1")._replace(speed=still, start_offset=offset, duration=5.0)
     done = driven(route, controller)
     assert np.isfinite(done.steering).all()
@@ -181,7 +181,7 @@ def test_standing_car_stays_where_it_is_under_finite_commands(
 def test_car_drives_off_from_standstill_beside_the_road_and_finds_it(
     controller: str, side: float
 ) -> None:
-    profile = SpeedProfile("time", np.array([0.0, 2.0, 8.0]), np.array([0.0, 0.0, 9.0]))
+    profile = SpeedProfile(False, np.array([0.0, 2.0, 8.0]), np.array([0.0, 0.0, 9.0]))
     route = scenario("straight")._replace(speed=profile, start_offset=0.5 * side, duration=20.0)
     error = errors(driven(route, controller), make_path(route.points), TO_CG)[:, 0]
     assert np.abs(error).max() < 0.6

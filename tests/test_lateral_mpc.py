@@ -12,8 +12,9 @@ from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.path import Array, make_path
-from ampc_msgs_config.path_frame import path_frame
+from ampc_msgs_config.path import Array
+from ampc_msgs_config.path_frame import path_frame, place, set_point
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import VehicleState, at_distance
 from ampc_ros.controller import CLASSIC_SPEED, CONTROLLERS, Choices, make_controller, warm_up
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
@@ -232,7 +233,8 @@ def test_gains_are_those_of_the_speed_and_the_set_point(v_x: float, x: float) ->
     mpc = LateralMpc(CHASSIS, SETTINGS, GainTable(*axes, nodes), base_link_to_cg=0.0)
     car = VehicleState(0, x, 0.0, 0.0, v_x, 0.0, 0.0)
     frame = path_frame(BEND)
-    expected = GainTable(*axes, nodes).lookup(v_x, frame.set_point(frame.place(car)[0])).gains
+    r = set_point(frame, place(frame, car.x, car.y, car.yaw)[0])
+    expected = GainTable(*axes, nodes).lookup(v_x, r).gains
     assert mpc.step(car, BEND).diagnosis.increment_weight == expected.increment_weight
 
 

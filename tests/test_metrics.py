@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.metrics import Drive, errors, evaluate, lateral_errors, ticks
-from ampc_msgs_config.path import Array, make_path
+from ampc_msgs_config.path import Array
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 ROAD = make_path([(0.0, 0.0), (100.0, 0.0)])

@@ -8,8 +8,8 @@ import pytest
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import make_path
 from ampc_msgs_config.path_file import Route, SpeedLimits, choose_scenario, from_csv
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, speed_at
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -1,7 +1,6 @@
 """Any list of points becomes a path that can be driven; places on it are found in constant time."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,17 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ampc_msgs_config import path as path_module
 from ampc_msgs_config.path import (
     AHEAD,
     BEHIND,
+    NOT_CAUGHT,
     Array,
     Path,
     Progress,
+    advance,
     curvature_between,
-    make_path,
     point_at,
 )
+from ampc_msgs_config.path_making import make_path
 
 RADIUS = 50.0
 
@@ -118,29 +118,18 @@ def test_where_a_path_crosses_itself_progress_decides() -> None:
         last = found
 
 
-def counted(function: Callable[..., float], windows: list[int]) -> Callable[..., float]:
-    """Note how many samples each projection looks at."""
-
-    def projected(path: Path, x: float, y: float, start: int, stop: int) -> float:
-        windows.append(stop - start)
-        return function(path, x, y, start, stop)
-
-    return projected
-
-
-@pytest.mark.parametrize("count", [1_000, 100_000])
-def test_each_projection_looks_at_a_window_of_constant_size(
-    count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    windows: list[int] = []
-    monkeypatch.setattr(path_module, "project", counted(path_module.project, windows))
+@pytest.mark.parametrize("count", [1_000, 20_000])
+def test_each_step_looks_at_a_window_of_constant_size(count: int) -> None:
     x = np.arange(count, dtype=float)
     path = make_path(np.column_stack((x, 5 * np.sin(x / 100))))
-    progress = Progress(path)
-    for place in (np.linspace(0.1, 0.9, 5) * count).tolist():
-        progress.advance(place, 5 * math.sin(place / 100), 0.0)
-        windows.clear()
-        for ahead in range(1, 30):
-            progress.advance(place + ahead, 5 * math.sin((place + ahead) / 100), 0.0)
-        assert len(windows) == 29
-        assert max(windows) <= (BEHIND + AHEAD) / path.spacing + 3
+    for share in (0.1, 0.5, 0.9):
+        car = point_at(path, share * path.length)
+        s, index = advance(path, NOT_CAUGHT, car.x, car.y, car.heading)
+        ahead = point_at(path, s + 5.0)
+        behind, before = math.ceil(BEHIND / path.spacing), math.ceil(AHEAD / path.spacing)
+        seen = slice(index - behind, index + before + 1)
+        lure = path._replace(x=np.full_like(path.x, ahead.x), y=np.full_like(path.y, ahead.y))
+        lure.x[seen], lure.y[seen] = path.x[seen], path.y[seen]
+        found = advance(lure, index, ahead.x, ahead.y, ahead.heading)
+        assert found == advance(path, index, ahead.x, ahead.y, ahead.heading)
+        assert found[0] == pytest.approx(s + 5.0, abs=1e-3)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.path import Array, Path, Progress, make_path
-from ampc_msgs_config.scenario import SpeedProfile, Wind, load_scenario
+from ampc_msgs_config.path import Array, Path, Progress
+from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.scenario import SpeedProfile, load_scenario
 from ampc_msgs_config.types import (
     NANOSECONDS,
     PATH_END,
@@ -25,6 +26,7 @@ from ampc_msgs_config.types import (
     VehicleState,
     at_distance,
 )
+from ampc_msgs_config.wind import Wind
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.preview import PreviewMpc
 from launch_scripts.cases import SPEEDS, Case, all_cases
@@ -162,7 +164,7 @@ def test_a_replan_with_the_same_geometry_causes_no_jump(spacing: float) -> None:
 
 def test_after_a_noisy_stop_the_car_goes_on_without_a_swing() -> None:
     at, speed = np.array([0.0, 4.0, 8.0, 12.0, 18.0]), np.array([9.0, 9.0, 0.0, 0.0, 9.0])
-    profile = SpeedProfile("time", at, speed)
+    profile = SpeedProfile(False, at, speed)
     scenario = load_scenario("straight", CAR.size)._replace(
         speed=profile, duration=25.0, start_offset=0.0
     )

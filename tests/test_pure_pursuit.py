@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.path import Path, make_path, point_at
+from ampc_msgs_config.path import Path, point_at
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
 from ampc_ros.pure_pursuit import PurePursuit
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.curves import ISO_ENTRY, q
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import Array, make_path, point_at, project
+from ampc_msgs_config.path import Array, point_at, project
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import (
     SPEED_PREVIEW,
     Scenario,
@@ -22,9 +23,9 @@ from ampc_msgs_config.scenario import (
     SpeedProfile,
     load_scenario,
     speed_at,
-    wind_at,
 )
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.wind import wind_at
 
 SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
 many = settings(max_examples=60, deadline=None, derandomize=True)
@@ -226,7 +227,7 @@ def test_start_lies_beside_the_first_point_heading_along_the_path(
 
 def test_start_of_a_path_that_begins_with_the_same_point_twice_heads_along_it() -> None:
     points = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 10.0], [0.0, 20.0]])
-    profile = SpeedProfile("time", np.array([0.0]), np.array([5.0]))
+    profile = SpeedProfile(False, np.array([0.0]), np.array([5.0]))
     assert Scenario("up", points, profile, 1.0).start[2] == pytest.approx(math.pi / 2)
 
 
@@ -261,7 +262,7 @@ def over_distance(speeds: list[float]) -> SpeedPlanner:
     """Give a planner of a straight road with these speeds every 10 m."""
     place = np.arange(0.0, 10.0 * len(speeds), 10.0, dtype=np.float64)
     points = np.column_stack((place, 0.0 * place))
-    profile = SpeedProfile("distance", place, np.array(speeds))
+    profile = SpeedProfile(True, place, np.array(speeds))
     return SpeedPlanner(Scenario("road", points, profile, 10.0))
 
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config import config
+from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path import Array
 
@@ -20,10 +21,11 @@ class Lane(NamedTuple):
     left: float
 
 
+@compiled
 def q(z: Any) -> Any:
     """Rise smoothly from 0 to 1 while z goes from 0 to 1: 10 z^3 - 15 z^4 + 6 z^5."""
-    z = np.clip(z, 0.0, 1.0)
-    return z**3 * (10 - 15 * z + 6 * z**2)
+    z = np.minimum(np.maximum(z, 0.0), 1.0)
+    return z * z * z * (10.0 + z * (6.0 * z - 15.0))
 
 
 def check_known(content: Any, keys: Iterable[str], where: str) -> None:

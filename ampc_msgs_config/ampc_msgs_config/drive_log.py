@@ -8,8 +8,9 @@ import numpy as np
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import read
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.path import Array, make_path
+from ampc_msgs_config.path import Array
 from ampc_msgs_config.path import Path as ReferencePath
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 SOLVE_TIME = "controller/debug/solve_time"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.path import Array, Path, Progress
-from ampc_msgs_config.path_frame import path_frame
+from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 
 
@@ -32,8 +32,9 @@ def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
         frame = path_frame(path)
     except ValueError:
         return np.full(len(drive.states), np.nan)
-    places = [frame.place(at_distance(s, base_link_to_cg)) for s in drive.states]
-    return np.array([Y - frame.set_point(X) for X, Y, _ in places], dtype=float)
+    centres = [at_distance(s, base_link_to_cg) for s in drive.states]
+    places = [place(frame, centre.x, centre.y, centre.yaw) for centre in centres]
+    return np.array([Y - set_point(frame, X) for X, Y, _ in places], dtype=float)
 
 
 def ticks(drive: Drive) -> Array:

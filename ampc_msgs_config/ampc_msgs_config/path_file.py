@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import Array, Path, make_path
+from ampc_msgs_config.path import Array, Path
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
 
 
@@ -74,8 +75,8 @@ def from_csv(
         path = make_path(points)
         values = _speed_along(path, points, columns, speed, limits)
         at = np.asarray(path.spacing * np.arange(len(values)))
-        period = path.length if path.closed else None
-        profile = checked_profile(SpeedProfile("distance", at, values, period))
+        period = path.length if path.closed else math.inf
+        profile = checked_profile(SpeedProfile(True, at, values, period))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     lap_time = float(np.sum(path.spacing / np.maximum(_middle(values), 0.5)))

@@ -1,12 +1,14 @@
 """The path as the paper sees it: a set-point Y_ref(X) in an inertial frame of small angles."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.interpolation import interpolate
 from ampc_msgs_config.path import Array, Path
-from ampc_msgs_config.types import VehicleState, wrap_angle
+from ampc_msgs_config.types import wrap_angle
 
 
 class PathFrame(NamedTuple):
@@ -23,20 +25,25 @@ class PathFrame(NamedTuple):
     Y: Array
     """(n,) path in this frame [m]."""
 
-    def place(self, state: VehicleState) -> tuple[float, float, float]:
-        """Give X [m], Y [m] and yaw [rad] of a state in this frame."""
-        X, Y = rotate(state.x - self.x, state.y - self.y, -self.heading)
-        return X, Y, wrap_angle(state.yaw - self.heading)
 
-    def set_point(self, X: float) -> float:
-        """Give Y_ref at X, r(k) of Eq. (11) [m]; the path's ends are held."""
-        return float(np.interp(X, self.X, self.Y))
-
-
-def rotate(x: float, y: float, angle: float) -> tuple[float, float]:
-    """Turn a vector counter-clockwise by `angle` [rad]."""
+@compiled
+def rotate(x: Any, y: Any, angle: float) -> tuple[Any, Any]:
+    """Turn a vector, or arrays of them, counter-clockwise by `angle` [rad]."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
+
+
+@compiled
+def place(frame: PathFrame, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    """Give X [m], Y [m] and yaw [rad] of a pose in this frame."""
+    X, Y = rotate(x - frame.x, y - frame.y, -frame.heading)
+    return X, Y, wrap_angle(yaw - frame.heading)
+
+
+@compiled
+def set_point(frame: PathFrame, X: float) -> float:
+    """Give Y_ref at X, r(k) of Eq. (11) [m]; the path's ends are held."""
+    return interpolate(X, frame.X, frame.Y)
 
 
 def path_frame(path: Path) -> PathFrame:

@@ -7,10 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config import config
+from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.curves import Lane, borrowed, bounded, check_known, make_curve, q
+from ampc_msgs_config.interpolation import interpolate, section
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.path import Array, Progress, make_path
+from ampc_msgs_config.path import NOT_CAUGHT, Array, Path, advance
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.wind import Wind, read_wind, wind_of_steps
 
 SPEED_PREVIEW = 0.5
 """How far ahead the target speed is read from the profile [s]: the time constant of the driver."""
@@ -20,31 +24,19 @@ POINT_SPACING = 0.5
 """Distance of the points of analytic paths along X [m]."""
 RUN_OUT = 60.0
 """How far analytic paths go on beyond the end of the drive [m]."""
-BLOCK_EDGE = 0.5
-"""Rise and fall of a block of wind [s]."""
 
 
 class SpeedProfile(NamedTuple):
     """Speed over time (joined with q) or over arc length (joined by straight lines)."""
 
-    over: str
-    """`time` or `distance`."""
+    over_distance: bool
+    """Whether `at` is arc lengths, not times."""
     at: Array
     """(n,) times [s] or arc lengths [m], increasing."""
     speed: Array
     """(n,) [m/s]."""
-    period: float | None = None
-    """Length of a lap, after which a profile over distance begins anew [m]."""
-
-
-class Wind(NamedTuple):
-    """One piece of wind along y of `map`."""
-
-    kind: str
-    """`gust`: 1-cos, or `block`."""
-    start: float
-    end: float
-    speed: float
+    period: float = math.inf
+    """Length of a lap, from 0 to which `at` goes and after which the profile begins anew [m]."""
 
 
 class Scenario(NamedTuple):
@@ -70,48 +62,78 @@ class Scenario(NamedTuple):
         return float(x), float(y), yaw
 
 
+@compiled
 def speed_at(profile: SpeedProfile, place: float) -> float:
     """Read a speed profile at a time [s] or an arc length [m]; its ends are held."""
     at, speed = profile.at, profile.speed
-    if profile.over == "distance" or len(at) == 1:
-        return float(np.interp(place, at, speed, period=profile.period))
-    i = int(np.clip(np.searchsorted(at, place, side="right") - 1, 0, len(at) - 2))
+    if profile.period < math.inf:
+        place %= profile.period
+    if profile.over_distance or len(at) == 1:
+        return interpolate(place, at, speed)
+    i = section(place, at)
     share = q((place - at[i]) / (at[i + 1] - at[i]))
     return float(speed[i] + share * (speed[i + 1] - speed[i]))
 
 
+@compiled
+def target_speed(
+    profile: SpeedProfile, path: Path, index: int, elapsed: float, x: float, y: float, yaw: float
+) -> tuple[float, int]:
+    """Give the speed that the driver has to reach one preview time later.
+
+    Args:
+        profile: Of the drive.
+        path: Of the drive.
+        index: Where the car was on it, as `advance` counts; NOT_CAUGHT at the start.
+        elapsed: Time since the start [s].
+        x: Position [m].
+        y: Position [m].
+        yaw: Heading [rad].
+
+    Returns:
+        Speed [m/s], and the index for the next call.
+    """
+    if not profile.over_distance:
+        return speed_at(profile, elapsed + SPEED_PREVIEW), index
+    s, index = advance(path, index, x, y, yaw)
+    ahead = max(SPEED_PREVIEW * speed_at(profile, s), MIN_PREVIEW)
+    return speed_at(profile, s + ahead), index
+
+
 class SpeedPlanner:
-    """Reads the speed profile for a car on its way; the start is the first state it sees."""
+    """Remembers when a drive began and where the car is; the start is the first state it sees."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Plan for one drive of a scenario."""
-        self.profile = scenario.speed
-        self.progress = Progress(make_path(scenario.points))
+        self.profile, self.path = scenario.speed, make_path(scenario.points)
+        self.index = NOT_CAUGHT
         self.start_ns: int | None = None
 
     def target_speed(self, state: VehicleState) -> float:
         """Give the speed that the driver has to reach one preview time later [m/s]."""
         if self.start_ns is None:
             self.start_ns = state.stamp_ns
-        if self.profile.over == "time":
-            elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
-            return speed_at(self.profile, elapsed + SPEED_PREVIEW)
-        s = self.progress.advance(state.x, state.y, state.yaw)
-        ahead = max(SPEED_PREVIEW * speed_at(self.profile, s), MIN_PREVIEW)
-        return speed_at(self.profile, s + ahead)
+        elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
+        speed, self.index = target_speed(
+            self.profile, self.path, self.index, elapsed, state.x, state.y, state.yaw
+        )
+        return speed
 
 
-def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
-    """Give the wind velocity in `map`, (n, 2) [m/s], at times (n,) [s]."""
-    velocity = np.zeros((len(time), 2))
-    for piece in wind:
-        if piece.kind == "gust":
-            z = np.clip((time - piece.start) / (piece.end - piece.start), 0.0, 1.0)
-            shape = (1 - np.cos(math.tau * z)) / 2
-        else:
-            shape = q((time - piece.start) / BLOCK_EDGE) * q((piece.end - time) / BLOCK_EDGE)
-        velocity[:, 1] += piece.speed * shape
-    return velocity
+def wind_of_drive(scenario: Scenario, step_ns: int, period_ns: int) -> Array:
+    """Give the wind velocity of a whole drive, one row for each step of the integration.
+
+    Args:
+        scenario: The drive.
+        step_ns: Of the integration [ns].
+        period_ns: Of the controller [ns].
+
+    Returns:
+        (n, 2) [m/s], n for whole periods; the rows of each are its `wind_of_steps`, bit for bit.
+    """
+    steps = round(period_ns / step_ns)
+    periods = -(-round(scenario.duration * NANOSECONDS) // (steps * step_ns))
+    return wind_of_steps(scenario.wind, 0, step_ns, periods * steps)
 
 
 def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -> Scenario:
@@ -149,7 +171,7 @@ def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Sc
         points=curve(np.arange(0.0, reach, POINT_SPACING, dtype=np.float64)),
         speed=speed,
         duration=duration,
-        wind=_wind(content.get("wind", [])),
+        wind=read_wind(content.get("wind", [])),
         lanes=lanes,
         start_offset=bounded(content, "start_offset", -100.0, 100.0, 0.0),
     )
@@ -164,33 +186,17 @@ def _speed(content: Any) -> SpeedProfile:
         table = np.array([])
     if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
         raise ValueError(f"speed = {content!r} must be a list of [time, speed]")
-    return checked_profile(SpeedProfile("time", table[:, 0], table[:, 1]))
+    at, speed = np.ascontiguousarray(table.T)
+    return checked_profile(SpeedProfile(False, at, speed))
 
 
 def checked_profile(profile: SpeedProfile) -> SpeedProfile:
     """Give the profile back, or say which value is out of order or out of [0, 100] m/s."""
     if (np.diff(profile.at) <= 0).any():
         row = int(np.argmax(np.diff(profile.at) <= 0))
-        at = f"{profile.over} {profile.at[row + 1]:g}"
+        at = f"{'distance' if profile.over_distance else 'time'} {profile.at[row + 1]:g}"
         raise ValueError(f"speed: {at} in row {row + 2} must be greater than {profile.at[row]:g}")
     for value in profile.speed:
         if not 0 <= value <= 100:
             raise ValueError(f"speed = {value:g} must lie in [0, 100] m/s")
     return profile
-
-
-def _wind(content: Any) -> tuple[Wind, ...]:
-    if isinstance(content, Mapping):
-        return _wind(borrowed(content["same_as"], "wind"))
-    if not isinstance(content, list):
-        raise ValueError(f"wind = {content!r} must be a list")
-    return tuple(_wind_piece(item) for item in content)
-
-
-def _wind_piece(item: Mapping[str, Any]) -> Wind:
-    check_known(item, {"kind", "start", "end", "speed"}, "wind")
-    if item["kind"] not in ("gust", "block"):
-        raise ValueError(f"wind: kind = {item['kind']!r} must be gust or block")
-    start = bounded(item, "start", 0.0, 1.0e5)
-    end = bounded(item, "end", start + 2 * BLOCK_EDGE, 1.0e5)
-    return Wind(item["kind"], start, end, bounded(item, "speed", -80.0, 80.0))

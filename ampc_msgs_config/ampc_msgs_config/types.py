@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ampc_msgs_config.compiled import compiled
+
 NANOSECONDS = 1_000_000_000
 
 
@@ -96,31 +98,43 @@ class Command(NamedTuple):
     """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
 
 
+@compiled
 def wrap_angle(angle: float) -> float:
-    """Give the same direction in [-pi, pi] [rad]."""
-    return math.remainder(angle, math.tau)
+    """Give the same direction in [-pi, pi] [rad].
+
+    Note:
+        math.remainder does not exist in compiled code. Up to 3 pi this gives the same number;
+        beyond it is exact to the rounding of the whole turns, as the angle itself is.
+    """
+    turns: float = np.rint(angle / math.tau)
+    return angle - math.tau * turns
 
 
+@compiled
 def quaternion_from_yaw(yaw: float) -> tuple[float, float]:
     """Give the z and w components of the unit quaternion of a rotation about z."""
     return math.sin(yaw / 2), math.cos(yaw / 2)
 
 
+@compiled
 def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Give the yaw of a quaternion in the z-y-x convention, in [-pi, pi] [rad]."""
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
+@compiled
 def as_received(state: VehicleState) -> VehicleState:
     """Give the state as a subscriber reads it: the heading has been a quaternion on the wire."""
-    z, w = quaternion_from_yaw(state.yaw)
-    return state._replace(yaw=yaw_from_quaternion(0.0, 0.0, z, w))
+    stamp_ns, x, y, yaw, v_x, v_y, yaw_rate = state
+    z, w = quaternion_from_yaw(yaw)
+    yaw = yaw_from_quaternion(0.0, 0.0, z, w)
+    return VehicleState(stamp_ns, x, y, yaw, v_x, v_y, yaw_rate)
 
 
+@compiled
 def at_distance(state: VehicleState, distance: float) -> VehicleState:
     """Move the point that a state describes forward along the body's x axis by `distance` [m]."""
-    return state._replace(
-        x=state.x + distance * math.cos(state.yaw),
-        y=state.y + distance * math.sin(state.yaw),
-        v_y=state.v_y + distance * state.yaw_rate,
-    )
+    stamp_ns, x, y, yaw, v_x, v_y, yaw_rate = state
+    x += distance * math.cos(yaw)
+    y += distance * math.sin(yaw)
+    return VehicleState(stamp_ns, x, y, yaw, v_x, v_y + distance * yaw_rate, yaw_rate)

@@ -5,7 +5,8 @@ from typing import NamedTuple, Protocol
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.path import Path, make_path
+from ampc_msgs_config.path import Path
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc

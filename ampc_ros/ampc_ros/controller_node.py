@@ -10,7 +10,8 @@ from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, spin
-from ampc_msgs_config.path import Path, make_path
+from ampc_msgs_config.path import Path
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import MODES, STANDSTILL, Command, VehicleState
 from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
 from ampc_ros.preview import PreviewMpc

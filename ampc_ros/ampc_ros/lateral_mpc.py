@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path, Progress
-from ampc_msgs_config.path_frame import path_frame
+from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance, wrap_angle
 from ampc_ros.constraints import input_rows, output_rows, output_steps, with_slack
 from ampc_ros.gain_table import Gains, GainTable
@@ -155,8 +155,8 @@ class LateralMpc:
         if path is not self.path:
             self._take_path(path)
         car = at_distance(state, self.to_cg)
-        X, Y, yaw = self.frame.place(car)
-        r = self.frame.set_point(X)
+        X, Y, yaw = place(self.frame, car.x, car.y, car.yaw)
+        r = set_point(self.frame, X)
         gains, outside = self.table.lookup(car.v_x, r)
         x = self._augmented_state(np.array([car.v_y, yaw, car.yaw_rate, Y]))
         v_x = self.nominal_speed or car.v_x

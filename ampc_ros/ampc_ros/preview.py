@@ -145,7 +145,7 @@ class PreviewMpc:
         if path is not self.path:
             self.path, self.progress = path, Progress(path)
         s = self.progress.advance(car.x, car.y, car.yaw)
-        e_y, e_psi = errors_at(path, s, car)
+        e_y, e_psi = errors_at(path, s, car.x, car.y, car.yaw)
         x = np.array([car.v_y, math.sin(e_psi), car.yaw_rate, e_y, self.delta])
         self._learn(car, x)
         diagnosis = self._place(path, s, car, (e_y, e_psi))

@@ -6,9 +6,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.path import Path, make_path
-from ampc_msgs_config.scenario import Scenario, SpeedPlanner, speed_at, wind_at
+from ampc_msgs_config.path import Path
+from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.scenario import Scenario, SpeedPlanner, speed_at
 from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState, as_received
+from ampc_msgs_config.wind import wind_of_steps
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
 
@@ -52,14 +54,14 @@ class Simulation:
 
     def wind(self) -> tuple[float, float]:
         """Give the wind in `map` now [m/s]."""
-        x, y = wind_at(self.scenario.wind, np.array([self.elapsed_ns / NANOSECONDS]))[0]
+        x, y = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, 1)[0]
         return float(x), float(y)
 
     def advance(self, steering: float, target_speed: float, period_ns: int) -> None:
         """Drive on for a time that is a multiple of the step [ns], under a steering angle [rad]."""
         steps = round(period_ns / self.step_ns)
-        at = (self.elapsed_ns + self.step_ns * np.arange(steps)) / NANOSECONDS
-        self.car.advance(steering, target_speed, wind_at(self.scenario.wind, at))
+        wind = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, steps)
+        self.car.advance(steering, target_speed, wind)
         self.elapsed_ns += steps * self.step_ns
 
 
