@@ -23,9 +23,10 @@ from ampc_msgs_config.scenario import (
     SpeedProfile,
     load_scenario,
     speed_at,
+    wind_of_drive,
 )
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_msgs_config.wind import wind_at
+from ampc_msgs_config.wind import wind_at, wind_of_steps
 
 SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
 many = settings(max_examples=60, deadline=None, derandomize=True)
@@ -150,6 +151,17 @@ def test_pieces_of_wind_add_up() -> None:
     time = np.linspace(0.0, 50.0, 501, dtype=np.float64)
     total = sum(wind_at((piece,), time) for piece in wind)
     np.testing.assert_allclose(wind_at(wind, time), total)
+
+
+@pytest.mark.parametrize("name", ["sc3_wind", "sc1"])
+@pytest.mark.parametrize("period_ns", [100_000_000, 30_000_000])
+def test_wind_of_a_drive_is_that_of_its_periods_bit_for_bit(name: str, period_ns: int) -> None:
+    scenario, step_ns = shipped_scenario(name), 5_000_000
+    whole, steps = wind_of_drive(scenario, step_ns, period_ns), period_ns // step_ns
+    begins = range(0, round(scenario.duration * NANOSECONDS), period_ns)
+    periods = [wind_of_steps(scenario.wind, begin, step_ns, steps) for begin in begins]
+    np.testing.assert_array_equal(whole, np.concatenate(periods))
+    assert whole.any() == bool(scenario.wind)
 
 
 @pytest.mark.parametrize("part", [1, 2])
@@ -282,6 +294,12 @@ def test_car_leaves_a_standstill_that_the_profile_begins_with_and_stands_at_its_
     assert fastest == pytest.approx(5.0, rel=0.05)
     assert x == pytest.approx(29.7, abs=0.5)
     assert v == pytest.approx(0.0, abs=0.01)
+
+
+def test_profile_of_a_circuit_begins_anew_with_each_lap() -> None:
+    profile = SpeedProfile(True, np.array([0.0, 10.0, 40.0]), np.array([4.0, 8.0, 4.0]), 40.0)
+    for place, speed in ((5.0, 6.0), (25.0, 6.0), (45.0, 6.0), (-15.0, 6.0), (80.0, 4.0)):
+        assert speed_at(profile, place) == pytest.approx(speed)
 
 
 def written(folder: Path, **changes: Any) -> str:
