@@ -24,8 +24,10 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
+from ampc_msgs_config.types import VehicleState
 
 PARAMETER_EVENTS = "/parameter_events"
+AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DELIVERY = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
 
@@ -41,6 +43,7 @@ class BaseNode(Node):
             owns_time: In lock-step this node makes the time, which all others follow.
         """
         super().__init__(name)
+        ros.vehicle_state(ros.odometry_message(AT_REST))  # compiles
         self.lock_step: bool = declare(
             self, "lock_step", False, "simulated time advances only when every state is answered"
         )

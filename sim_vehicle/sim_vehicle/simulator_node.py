@@ -43,7 +43,9 @@ class SimulatorNode(BaseNode):
         """Load the car and the drive; the first state goes out once both peers are there."""
         super().__init__("simulator", owns_time=True)
         self.make_simulation = self._simulation()
-        self.make_simulation().advance(0.0, 0.0, STEP_NS)  # compiles
+        self.simulation = self.make_simulation()
+        self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles, as `measure` does
+        self.simulation.car.measure(0)
         self.simulation = self.make_simulation()
         limits = (0.1, 3600.0)
         self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
