@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
+IN_PLACE: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
 PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
 
 
@@ -42,3 +43,22 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def compiled(function: F) -> F:
     """Compile a numeric function at its first call, and keep the machine code on disk."""
     return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+def in_place(function: F) -> F:
+    """Compile a numeric function that works in the arrays it is given, and allocates nothing.
+
+    Compiled without numba's memory management, so a function that makes an array is refused at
+    its first call. It may give arrays inside of tuples to functions of its kind, never to Python.
+    """
+    return cast(F, numba.njit(cache=True, **IN_PLACE)(function))
+
+
+def inlined(function: F) -> F:
+    """As `in_place`, merged into its caller: where a dozen arrays would cost more than the work."""
+    return cast(F, numba.njit(inline="always", **IN_PLACE)(function))
+
+
+def written_out(function: F) -> F:
+    """As `in_place`, for the few functions that give their caller an array."""
+    return cast(F, numba.njit(inline="always", **IN_PLACE)(function))

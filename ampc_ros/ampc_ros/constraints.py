@@ -1,12 +1,12 @@
-"""Bounds on increment, angle and output as rows of M eta <= gamma: Eqs. (13)-(16)."""
+"""Bounds on increment, angle and output as rows of low <= M eta <= high: Eqs. (13)-(16)."""
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import put
+from ampc_msgs_config.compiled import in_place
+from ampc_ros.qp import Qp
 
 Array = NDArray[np.float64]
 
@@ -14,17 +14,17 @@ FIRST_OUTPUT_STEP = 5
 """The output cannot answer earlier: rows before this step would only fight the past [ticks]."""
 
 
-@compiled
-def running_sum(L: Array) -> Array:
-    """Row i is L(0) + .. + L(i): the angle that the increments add up to, (N_c, N)."""
-    total = np.zeros_like(L)
-    for i in range(len(L)):
-        for j in range(L.shape[1]):
-            total[i, j] = L[i, j] + (total[i - 1, j] if i > 0 else 0.0)
-    return total
+@in_place
+def running_sum(L: Array, S: Array) -> None:
+    """Fill S: row i is L(0) + .. + L(i), the angle that the increments add up to, (N_c, N)."""
+    for j in range(L.shape[1]):
+        total = 0.0
+        for i in range(len(L)):
+            total += L[i, j]
+            S[i, j] = total
 
 
-@compiled
+@in_place
 def output_steps(N_p: int, N_c: int, half_width: float) -> int:
     """Number of steps whose output is bounded: the fifth to N_c; none without a bound."""
     if not math.isfinite(half_width):
@@ -32,62 +32,50 @@ def output_steps(N_p: int, N_c: int, half_width: float) -> int:
     return max(min(N_c, N_p) - (FIRST_OUTPUT_STEP - 1), 0)
 
 
-@compiled
-def put_two_sided(M: Array, gamma: Array, at: int, row: Array, low: float, high: float) -> None:
-    """Write low <= row x <= high into rows `at` and `at` + 1 of M x <= gamma."""
-    for j in range(len(row)):
-        M[at, j] = row[j]
-        M[at + 1, j] = -row[j]
-    gamma[at] = high
-    gamma[at + 1] = -low
+@in_place
+def row_count(N_c: int, bounded_outputs: int) -> int:
+    """Number of rows: increments, angles, two for an output, one for the slack if it is there."""
+    return 2 * N_c + (2 * bounded_outputs + 1 if bounded_outputs > 0 else 0)
 
 
-@compiled
-def input_rows(M: Array, gamma: Array, L: Array, u: float, bounds: tuple[float, float]) -> None:
-    """Fill increment and angle bounds over the control horizon, Eqs. (13), (14): 4 N_c rows.
+@in_place
+def input_rows(qp: Qp, L: Array, S: Array, u: float, bounds: tuple[float, float]) -> None:
+    """Fill increment and angle bounds over the control horizon, Eqs. (13), (14): 2 N_c rows.
 
     Args:
-        M: Rows to fill from the first on, (>= 4 N_c, >= N).
-        gamma: Their bounds.
+        qp: Its first rows are filled.
         L: Laguerre functions (N_c, N).
+        S: Their running sum (N_c, N).
         u: Angle in force, u(k - 1), taken inside its bound so that no row is infeasible [rad].
         bounds: Of the increment per tick and of the angle [rad].
     """
     Delta_u_max, u_max = bounds
     held = min(max(u, -u_max), u_max)
-    angles = running_sum(L)
     for i in range(len(L)):
-        put_two_sided(M, gamma, 4 * i, L[i], -Delta_u_max, Delta_u_max)
-        put_two_sided(M, gamma, 4 * i + 2, angles[i], -u_max - held, u_max - held)
+        for j in range(L.shape[1]):
+            qp.M[2 * i, j], qp.M[2 * i + 1, j] = L[i, j], S[i, j]
+        qp.low[2 * i], qp.high[2 * i] = -Delta_u_max, Delta_u_max
+        qp.low[2 * i + 1], qp.high[2 * i + 1] = -u_max - held, u_max - held
 
 
-@compiled
-def output_rows(M: Array, gamma: Array, Phi: Array, error: Array, half_width: float) -> None:
+@in_place
+def output_rows(qp: Qp, first: int, Phi: Array, error: Array, half_width: float) -> None:
     """Fill |y - r| <= half_width + slack, Eq. (15): from the fifth step on, then slack >= 0.
 
     Args:
-        M: Rows to fill, one pair a step and one for the slack, (2 k + 1, N + 1).
-        gamma: Their bounds.
-        Phi: Forced response (N_p, N).
+        qp: Its rows from `first` to the end are filled; the slack is its last unknown.
+        first: Number of rows before.
+        Phi: Forced response, transposed (N, N_p).
         error: R_s - F x (N_p,) [m].
         half_width: Of the lane about the reference [m].
     """
-    rows, N = len(gamma), Phi.shape[1]
-    for k in range((rows - 1) // 2):
-        step = FIRST_OUTPUT_STEP - 1 + k
-        low, high = error[step] - half_width, error[step] + half_width
-        put_two_sided(M, gamma, 2 * k, Phi[step], low, high)
-    for i in range(rows):
-        M[i, N] = -1.0
-
-
-@compiled
-def with_slack(E: Array, K: Array, weight: float) -> tuple[Array, Array]:
-    """Cost in [eta, slack]: E (N + 1, N + 1) and K (N + 1,), with weight * slack^2 added."""
-    N = len(K)
-    E_slack, K_slack = np.zeros((N + 1, N + 1)), np.zeros(N + 1)
-    for i in range(N):
-        put(E_slack[i], E[i])
-    E_slack[N, N] = 2 * weight
-    put(K_slack, K)
-    return E_slack, K_slack
+    last, N = len(qp.low) - 1, len(Phi)
+    for at in range(first, last, 2):
+        step = FIRST_OUTPUT_STEP - 1 + (at - first) // 2
+        for j in range(N):
+            qp.M[at, j] = qp.M[at + 1, j] = Phi[j, step]
+        qp.M[at, N], qp.M[at + 1, N] = -1.0, 1.0
+        qp.low[at], qp.high[at] = -math.inf, error[step] + half_width
+        qp.low[at + 1], qp.high[at + 1] = error[step] - half_width, math.inf
+    qp.M[last, N] = 1.0
+    qp.low[last], qp.high[last] = 0.0, math.inf

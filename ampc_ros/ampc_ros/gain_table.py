@@ -1,15 +1,21 @@
 """Gains by speed and lateral reference, from YAML."""
 
-import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ampc_msgs_config import config
+from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.interpolation import section
 from ampc_msgs_config.parameters import check_range
 
+Array = NDArray[np.float64]
+
+NONE = -1
+"""No node is in use yet."""
 HYSTERESIS = 0.1
 """Share of the distance between two nodes by which another must be nearer to take over."""
 
@@ -42,6 +48,17 @@ BOUNDS: dict[str, dict[str, Any]] = {
 }
 
 
+class Table(NamedTuple):
+    """A gain table as compiled code takes it."""
+
+    speeds: Array
+    """(n,) increasing [m/s]."""
+    references: Array
+    """(m,) lateral references, increasing [m]."""
+    nodes: Array
+    """(n m, 6) gains, the references fastest."""
+
+
 class Lookup(NamedTuple):
     """Gains, and whether the table had to be left."""
 
@@ -50,69 +67,93 @@ class Lookup(NamedTuple):
     """The speed or reference lies outside the grid; the nearest edge was used."""
 
 
-class GainTable:
-    """Grid of gains; remembers the node in use, so that integers do not chatter between two."""
+@in_place
+def look_up(table: Table, in_use: Array, speed: float, reference: float) -> tuple[Gains, bool]:
+    """Give the gains at a speed and a lateral reference.
 
-    def __init__(self, speeds: list[float], references: list[float], nodes: list[Gains]) -> None:
-        """Lay `nodes` out over speeds [m/s] x lateral references [m], the references fastest."""
-        self.axes = (np.asarray(speeds, dtype=float), np.asarray(references, dtype=float))
-        self.nodes = nodes
-        self.nearest = [-1, -1]
+    Integers come from the nearest node, with hysteresis; weights are interpolated in the
+    logarithm, the pole linearly. Outside the grid the edge counts; an axis of one place is
+    none, its gains hold everywhere.
 
-    def lookup(self, speed: float, reference: float = 0.0) -> Lookup:
-        """Give the gains at a speed [m/s] and a lateral reference [m].
+    Args:
+        table: The grid.
+        in_use: (2,) places of the node in use on the two axes, NONE at first; changed in place.
+        speed: [m/s].
+        reference: [m].
 
-        Integers come from the nearest node, with hysteresis; weights are interpolated in the
-        logarithm, the pole linearly. Outside the grid the edge counts; an axis of one place is
-        none, its gains hold everywhere.
-        """
-        places = (speed, reference)
-        outside = any(
-            len(axis) > 1 and not axis[0] <= place <= axis[-1]
-            for axis, place in zip(self.axes, places, strict=True)
-        )
-        if len(self.nodes) == 1:
-            return Lookup(self.nodes[0], outside)
-        for k, (axis, place) in enumerate(zip(self.axes, places, strict=True)):
-            self.nearest[k] = nearest_node(axis, place, self.nearest[k])
-        node = self._node(*self.nearest)
-        brackets = [bracket(axis, p) for axis, p in zip(self.axes, places, strict=True)]
-        return Lookup(Gains(*node[:3], *self._interpolate(brackets)), outside)
-
-    def reset(self) -> None:
-        """Forget the node in use."""
-        self.nearest = [-1, -1]
-
-    def _node(self, i: int, j: int) -> Gains:
-        return self.nodes[i * len(self.axes[1]) + j]
-
-    def _interpolate(self, brackets: list[list[tuple[int, float]]]) -> tuple[float, float, float]:
-        pole = log_output = log_increment = 0.0
-        for (i, share_i), (j, share_j) in itertools.product(*brackets):
-            node, share = self._node(i, j), share_i * share_j
-            pole += share * node.laguerre_pole
-            log_output += share * math.log(node.output_weight)
-            log_increment += share * math.log(node.increment_weight)
-        return pole, math.exp(log_output), math.exp(log_increment)
+    Returns:
+        The gains, and whether an axis was left.
+    """
+    speeds, references, nodes = table
+    outside = left(speeds, speed) or left(references, reference)
+    in_use[0] = nearest_node(speeds, speed, int(in_use[0]))
+    in_use[1] = nearest_node(references, reference, int(in_use[1]))
+    node = nodes[int(in_use[0]) * len(references) + int(in_use[1])]
+    if len(nodes) == 1:
+        return Gains(int(node[0]), int(node[1]), int(node[2]), node[3], node[4], node[5]), outside
+    i, share_i = bracket(speeds, speed)
+    k, share_k = bracket(references, reference)
+    pole, log_output, log_increment = 0.0, 0.0, 0.0
+    for corner in range(4):
+        right, up = corner // 2, corner % 2
+        share = (share_i if right else 1.0 - share_i) * (share_k if up else 1.0 - share_k)
+        if share > 0.0:
+            corner_node = nodes[(i + right) * len(references) + k + up]
+            pole += share * corner_node[3]
+            log_output += share * math.log(corner_node[4])
+            log_increment += share * math.log(corner_node[5])
+    Q, R = math.exp(log_output), math.exp(log_increment)
+    return Gains(int(node[0]), int(node[1]), int(node[2]), pole, Q, R), outside
 
 
-def nearest_node(axis: Any, place: float, current: int) -> int:
-    """Index of the nearest node; `current` (-1: none) is kept unless another is clearly nearer."""
-    best = int(np.argmin(np.abs(axis - place)))
-    if current < 0 or best == current:
+@in_place
+def left(axis: Array, place: float) -> bool:
+    """Whether a place lies beyond the ends of an axis of more than one place."""
+    return len(axis) > 1 and not axis[0] <= place <= axis[len(axis) - 1]
+
+
+@in_place
+def nearest_node(axis: Array, place: float, current: int) -> int:
+    """Index of the nearest node; `current` is kept unless another is clearly nearer."""
+    best = 0
+    for i in range(1, len(axis)):
+        if abs(axis[i] - place) < abs(axis[best] - place):
+            best = i
+    if current == NONE or best == current:
         return best
     margin = HYSTERESIS * abs(axis[best] - axis[current])
     return best if abs(axis[current] - place) - abs(axis[best] - place) > margin else current
 
 
-def bracket(axis: Any, place: float) -> list[tuple[int, float]]:
-    """Neighbouring nodes of a place on an axis, with their shares; one node outside and on it."""
-    clamped = min(max(place, axis[0]), axis[-1])
-    i = min(int(np.searchsorted(axis, clamped, side="right")) - 1, len(axis) - 1)
-    if i == len(axis) - 1 or axis[i] == clamped:
-        return [(i, 1.0)]
-    share = float((clamped - axis[i]) / (axis[i + 1] - axis[i]))
-    return [(i, 1.0 - share), (i + 1, share)]
+@in_place
+def bracket(axis: Array, place: float) -> tuple[int, float]:
+    """Place on an axis: the node at or below it, and the share of the way to the next one."""
+    last = len(axis) - 1
+    if last == 0 or not place > axis[0]:
+        return 0, 0.0
+    if place >= axis[last]:
+        return last, 0.0
+    i = section(place, axis)
+    return i, (place - axis[i]) / (axis[i + 1] - axis[i])
+
+
+class GainTable:
+    """Grid of gains; remembers the node in use, so that integers do not chatter between two."""
+
+    def __init__(self, speeds: list[float], references: list[float], nodes: list[Gains]) -> None:
+        """Lay `nodes` out over speeds [m/s] x lateral references [m], the references fastest."""
+        axes = np.array(speeds, dtype=float), np.array(references, dtype=float)
+        self.table = Table(*axes, np.array(nodes, dtype=float))
+        self.nodes = nodes
+        self.reset()
+
+    def lookup(self, speed: float, reference: float = 0.0) -> Lookup:
+        """Give the gains at a speed [m/s] and a lateral reference [m]; see `look_up`."""
+        return Lookup(*look_up(self.table, self.in_use, speed, reference))
+
+    def reset(self) -> None:
+        """Forget the node in use."""
+        self.in_use: Array = np.full(2, float(NONE))
 
 
 def load_gain_table(name: str) -> GainTable:

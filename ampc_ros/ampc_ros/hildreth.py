@@ -3,18 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.qp import (
-    SOLVED,
-    UNFINISHED,
-    NearestPoint,
-    Qp,
-    QpSolution,
-    most_violated,
-    nearest_point,
-    solution_at,
-)
-from ampc_ros.small_matrices import dot
+from ampc_msgs_config.compiled import in_place
+from ampc_ros.qp import SOLVED, UNFINISHED, NearestPoint, Qp, nearest_point, unit_row
+from ampc_ros.small_matrices import Scratch, backward, dot, matrix, vector
 
 Array = NDArray[np.float64]
 
@@ -22,52 +13,82 @@ KUHN_TUCKER = 1e-10
 """How far Eq. (30) may be missed, as a share of the size of the numbers in the problem."""
 
 
-@compiled
-def hildreth(qp: Qp, max_sweeps: int, tolerance: float) -> QpSolution:
+@in_place
+def hildreth(
+    qp: Qp, sweeps: tuple[int, float], x: Array, multipliers: Array, scratch: Scratch
+) -> tuple[int, int]:
     """Solve by Gauss-Seidel sweeps over the multipliers, from the unconstrained minimum.
 
     Args:
         qp: The programme.
-        max_sweeps: Sweeps over all multipliers (the authors: 38).
-        tolerance: Squared change of the multipliers in a sweep that ends the search (1e-7).
+        sweeps: How many at most (the authors: 38), and the squared change of the multipliers in
+            one that ends the search (1e-7).
+        x: Receives the minimiser (n,).
+        multipliers: Receives lambda (m,), zeros before.
+        scratch: At least `hildreth_numbers(m, n)` free.
+
+    Returns:
+        How many sweeps it took, and the status.
 
     Note:
         A small change does not prove convergence: unless the Kuhn-Tucker conditions of Eq. (30)
         hold as well, the sweeps go on, and in the end the solution is UNFINISHED.
     """
-    task, status = nearest_point(qp)
-    w, multipliers, sweeps = task.start.copy(), np.zeros(len(task.bounds)), 0
-    finished = status != SOLVED or most_violated(task, w) < 0
-    while not finished and sweeps < max_sweeps:
-        change = sweep(task, multipliers, w)
-        sweeps += 1
-        finished = change <= tolerance and kuhn_tucker_hold(task, multipliers, w)
-    if not finished:
-        status = UNFINISHED
-    return solution_at(task, w, multipliers, sweeps, status)
+    begin, n, done = scratch.used[0], len(qp.K), 0
+    task, w = nearest_point(qp, scratch), vector(scratch, n)
+    rows, lengths = matrix(scratch, len(qp.low), n), vector(scratch, len(qp.low))
+    for i in range(len(lengths)):
+        lengths[i] = unit_row(task.C, qp.M[i], 1.0, rows[i])
+    for j in range(n):
+        w[j] = task.start[j]
+    status = task.status
+    finished = status != SOLVED or kuhn_tucker_hold(qp, task, rows, lengths, multipliers, w)
+    while not finished and done < sweeps[0]:
+        change = sweep(qp, rows, lengths, multipliers, w)
+        done += 1
+        finished = change <= sweeps[1] and kuhn_tucker_hold(qp, task, rows, lengths, multipliers, w)
+    for i in range(len(lengths)):
+        multipliers[i] /= lengths[i]
+    backward(task.C, w, n, x)
+    scratch.used[0] = begin
+    return done, status if finished else UNFINISHED
 
 
-@compiled
-def sweep(task: NearestPoint, multipliers: Array, w: Array) -> float:
-    """Improve each multiplier once, and w with it, in place, Eq. (29); gives the squared change."""
+def hildreth_numbers(m: int, n: int) -> int:
+    """Give the scratch memory that `hildreth` needs for m rows of n unknowns."""
+    return (m + n + 2) * (n + 1)
+
+
+@in_place
+def sweep(qp: Qp, rows: Array, lengths: Array, multipliers: Array, w: Array) -> float:
+    """Improve each multiplier once, and w with it, in place, Eq. (29); gives the squared change.
+
+    A row of two sides has one multiplier, which is negative where the lower one pushes.
+    """
     change = 0.0
     for i in range(len(multipliers)):
         before = multipliers[i]
-        multipliers[i] = max(0.0, before + dot(task.rows[i], w) - task.bounds[i])
+        value = before + dot(rows[i], w)
+        high, low = qp.high[i] / lengths[i], qp.low[i] / lengths[i]
+        multipliers[i] = max(value - high, 0.0) + min(value - low, 0.0)
         step = multipliers[i] - before
         change += step * step
         for j in range(len(w)):
-            w[j] -= step * task.rows[i, j]
+            w[j] -= step * rows[i, j]
     return change
 
 
-@compiled
-def kuhn_tucker_hold(task: NearestPoint, multipliers: Array, w: Array) -> bool:
+@in_place
+def kuhn_tucker_hold(
+    qp: Qp, task: NearestPoint, rows: Array, lengths: Array, multipliers: Array, w: Array
+) -> bool:
     """Whether rows are kept, and those with a multiplier hold with equality, Eq. (30)."""
     for i in range(len(multipliers)):
-        excess = dot(task.rows[i], w) - task.bounds[i]
-        if multipliers[i] > 0.0:
-            excess = abs(excess)
-        if excess > KUHN_TUCKER * max(task.scale, abs(task.bounds[i])):
+        value, high, low = dot(rows[i], w), qp.high[i] / lengths[i], qp.low[i] / lengths[i]
+        excess, bound = max(value - high, low - value), high if value > high else low
+        if multipliers[i] != 0.0:
+            bound = high if multipliers[i] > 0.0 else low
+            excess = abs(value - bound)
+        if excess > 0.0 and excess > KUHN_TUCKER * max(task.scale, abs(bound)):
             return False
     return True

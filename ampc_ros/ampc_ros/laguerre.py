@@ -5,41 +5,30 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import apply, put
+from ampc_msgs_config.compiled import in_place
 
 Array = NDArray[np.float64]
 
 
-@compiled
-def network(alpha: float, N: int) -> tuple[Array, Array]:
-    """A_l (N, N) and L(0) (N,) of Eq. (23).
+@in_place
+def laguerre_sequence(alpha: float, L: Array) -> None:
+    """Fill L(0)' .. L(steps - 1)' as rows, (steps, N): Delta u(k + i) = row i times eta, Eq. (24).
+
+    Each function is the one before it through the all-pass (z^-1 - alpha) / (1 - alpha z^-1) of
+    Eq. (22), which is the network (23) without its matrix.
 
     Args:
         alpha: Pole (scale factor), 0 <= alpha < 1.
-        N: Number of terms.
-    """
-    beta = 1 - alpha**2
-    A_l = np.zeros((N, N))
-    L_0 = np.empty(N)
-    for i in range(N):
-        L_0[i] = math.sqrt(beta) * (-alpha) ** i
-        A_l[i, i] = alpha
-        for j in range(i):
-            A_l[i, j] = beta * (-alpha) ** (i - j - 1)
-    return A_l, L_0
-
-
-@compiled
-def laguerre_sequence(alpha: float, N: int, steps: int) -> Array:
-    """L(0)' .. L(steps - 1)' as rows, (steps, N): Delta u(k + i) = row i times eta, Eq. (24).
+        L: Receives the functions; its shape says how many.
 
     Note:
         Eq. (24) prints i = 1 .. N_c. The move applied now is L(0)' eta, so i = 0 .. N_c - 1.
     """
-    A_l, L_i = network(alpha, N)
-    L = np.empty((steps, N))
-    for i in range(steps):
-        put(L[i], L_i)
-        L_i = apply(A_l, L_i)
-    return L
+    first = math.sqrt(1.0 - alpha**2)
+    for j in range(L.shape[1]):
+        L[0, j] = first
+        first *= -alpha
+    for i in range(1, len(L)):
+        L[i, 0] = alpha * L[i - 1, 0]
+        for j in range(1, L.shape[1]):
+            L[i, j] = alpha * L[i - 1, j] + L[i - 1, j - 1] - alpha * L[i, j - 1]

@@ -3,66 +3,85 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import apply_transposed, gram, product, put
+from ampc_msgs_config.compiled import in_place
+from ampc_ros.model import STATES
+from ampc_ros.small_matrices import Scratch, dot, vector
 
 Array = NDArray[np.float64]
 
 
-@compiled
-def predict(A: Array, B: Array, L: Array, N_p: int) -> tuple[Array, Array]:
-    """F (N_p, n) and Phi (N_p, N) of Y = F x + Phi eta, Eq. (10) with the increments of Eq. (24).
+@in_place
+def predict(
+    A: Array, B: Array, L: Array, x: Array, free: Array, Phi: Array, scratch: Scratch
+) -> None:
+    """Fill Y = F x + Phi eta, Eq. (10) with the increments of Eq. (24): F x (N_p,) and Phi'.
 
     Args:
-        A: Augmented model (n, n); its output is the last state.
-        B: Augmented model (n,).
+        A: Augmented model (5, 5); its output is the last state.
+        B: Augmented model (5,).
         L: Laguerre functions (N_c, N); increments after N_c are zero.
-        N_p: Prediction horizon [ticks].
+        x: Augmented state (5,).
+        free: Receives F x (N_p,).
+        Phi: Receives the forced response, transposed: (N, N_p), zeros before.
+        scratch: Auxiliary memory.
 
     Note:
-        The identity for L gives F and Phi of Eq. (10) as printed.
+        The entries of Phi as printed are those of the impulse response h, C A^(i-j) B; with L
+        in place of the single increments they are sums over it.
     """
-    n, N = len(A), L.shape[1]
-    F, Phi = np.empty((N_p, n)), np.empty((N_p, N))
-    row: Array = np.zeros(n)
-    row[n - 1] = 1.0
-    response: Array = np.zeros((n, N))
+    begin, N_p = scratch.used[0], len(free)
+    h, state, impulse = vector(scratch, N_p), vector(scratch, STATES), vector(scratch, STATES)
+    following = vector(scratch, STATES)
+    for k in range(STATES):
+        state[k], impulse[k] = x[k], B[k]
     for i in range(N_p):
-        row = apply_transposed(A, row)
-        response = product(A, response)
-        if i < len(L):
-            add_outer(response, B, L[i])
-        put(F[i], row)
-        put(Phi[i], response[n - 1])
-    return F, Phi
+        advance(A, state, following)
+        free[i], h[i] = state[STATES - 1], impulse[STATES - 1]
+        advance(A, impulse, following)
+    for n in range(len(Phi)):
+        response = Phi[n]
+        for j in range(min(len(L), N_p)):
+            share = L[j, n]
+            for i in range(N_p - j):
+                response[i + j] += share * h[i]
+    scratch.used[0] = begin
 
 
-@compiled
-def add_outer(C: Array, a: Array, b: Array) -> None:
-    """Add a b' to C (m, n) in place."""
-    for i in range(len(a)):
-        for j in range(len(b)):
-            C[i, j] += a[i] * b[j]
+@in_place
+def advance(A: Array, x: Array, following: Array) -> None:
+    """Put A x in the place of x (5,); `following` is auxiliary."""
+    for i in range(STATES):
+        total = 0.0
+        for k in range(STATES):
+            total += A[i, k] * x[k]
+        following[i] = total
+    for i in range(STATES):
+        x[i] = following[i]
 
 
-@compiled
-def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tuple[Array, Array]:
-    """E (N, N) and K (N,) of Eq. (17) for the cost of Eq. (11).
+@in_place
+def quadratic_cost(
+    Phi: Array, error: Array, L: Array, weights: tuple[float, float], E: Array, K: Array
+) -> None:
+    """Fill E and K of Eq. (17) for the cost of Eq. (11), in their first N rows and columns.
 
     Args:
-        Phi: Forced response (N_p, N).
+        Phi: Forced response, transposed (N, N_p).
         error: R_s - F x, what the free response leaves of the reference (N_p,) [m].
         L: Laguerre functions (N_c, N).
-        Q: Weight of the output error.
-        R: Weight of the increments Delta u.
+        weights: Q of the output error, R of the increments Delta u.
+        E: Receives the quadratic term, (>= N, >= N).
+        K: Receives the linear term, (>= N,).
 
     Note:
         Truncation at N_c spoils the orthonormality of Eqs. (19)-(20), so the increments are
         weighted with sum L(i) L(i)', not with the identity on eta.
     """
-    E, R_term, K = gram(Phi), gram(L), apply_transposed(Phi, error)
-    for i in range(len(K)):
-        K[i] *= -2 * Q
-        for j in range(len(K)):
-            E[i, j] = 2 * (Q * E[i, j] + R * R_term[i, j])
-    return E, K
+    Q, R = weights
+    for j in range(len(Phi)):
+        K[j] = -2 * Q * dot(Phi[j], error)
+        for k in range(j + 1):
+            increments = 0.0
+            for i in range(len(L)):
+                increments += L[i, j] * L[i, k]
+            E[j, k] = E[k, j] = 2 * (Q * dot(Phi[j], Phi[k]) + R * increments)

@@ -6,25 +6,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.constraints import output_rows, output_steps, put_two_sided, running_sum, with_slack
+from ampc_msgs_config.compiled import in_place, inlined
+from ampc_ros.belief import Belief
+from ampc_ros.constraints import output_rows, output_steps, running_sum
 from ampc_ros.gain_table import Gains
 from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.lateral_mpc import Limits, solve
-from ampc_ros.model import Vehicle
-from ampc_ros.prediction import add_outer, quadratic_cost
+from ampc_ros.lateral_mpc import blank_programme, count_active, solve
+from ampc_ros.model import STATES, V_Y, Vehicle
+from ampc_ros.prediction import advance, quadratic_cost
 from ampc_ros.preview_model import (
     E_PSI,
     E_Y,
-    STATES,
-    V_Y,
-    Actuator,
     angle_bound,
+    blank_model,
     road_steering,
-    sampled_model,
+    sample,
 )
-from ampc_ros.qp import Qp, QpSolution
-from ampc_ros.small_matrices import apply, dot, product, put
+from ampc_ros.qp import SOLVED, Qp
+from ampc_ros.small_matrices import Scratch, dot, matrix, vector
 
 Array = NDArray[np.float64]
 
@@ -74,41 +73,35 @@ class Plan(NamedTuple):
     """[m]."""
     iterations: int
     status: int
-    lateral: Array
-    """(H,) predicted cross-track error [m]."""
 
 
-@compiled
-def angle_bounds(vehicle: Vehicle, road: Road, u_max: float, a_y_max: float) -> Array:
-    """Bound of the angle at each step, (H,) [rad]."""
-    bounds = np.empty(len(road.speed) - 1)
-    for i in range(len(bounds)):
-        bounds[i] = angle_bound(vehicle, road.speed[i + 1], u_max, a_y_max)
-    return bounds
-
-
-@compiled
-def nominal_steering(
-    vehicle: Vehicle, road: Road, u: float, bounds: Array, limits: Limits
-) -> Array:
-    """Angles (H,) without a correction: the angle in force, on with the road's bends [rad].
+@in_place
+def nominal_steering(belief: Belief, road: Road, u: float, nominal: Array, bounds: Array) -> None:
+    """Fill the angles without a correction: the angle in force, on with the road's bends.
 
     Follows the changes of the angle that the road asks for, within the bounds and within
     the largest increment. A bound that is left already is approached as fast as that allows, so
     the sequence is feasible by construction.
+
+    Args:
+        belief: Vehicle and limits.
+        road: The horizon.
+        u: Angle in force [rad].
+        nominal: Receives the angles (H,) [rad].
+        bounds: Receives the bound of the angle at each step (H,) [rad].
     """
-    nominal, step = np.empty(len(bounds)), limits.Delta_u_max
-    offset = u - road_angle(vehicle, road, 0, limits.T)
-    before = u
+    vehicle, limits = belief.vehicle, belief.limits
+    step, a_y_max = limits.Delta_u_max, FRICTION_SHARE * limits.mu_g
+    before, offset = u, u - road_angle(vehicle, road, 0, limits.T)
     for i in range(len(bounds)):
+        bound = angle_bound(vehicle, road.speed[i + 1], limits.u_max, a_y_max)
         wanted = offset + road_angle(vehicle, road, i + 1, limits.T)
-        wanted = min(max(wanted, -bounds[i]), bounds[i])
+        wanted = min(max(wanted, -bound), bound)
         before = min(max(wanted, before - step), before + step)
-        nominal[i] = before
-    return nominal
+        nominal[i], bounds[i] = before, bound
 
 
-@compiled
+@in_place
 def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
     """Angle that the road asks for at entry i of the horizon [rad]."""
     before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
@@ -116,46 +109,54 @@ def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
     return road_steering(vehicle, road.speed[i], road.curvature[i], change)
 
 
-@compiled
+@in_place
 def predict_on_road(
-    vehicle: Vehicle, actuator: Actuator, T: float, past: Past, road: Road, nominal: Array, S: Array
-) -> tuple[Array, Array]:
-    """Cross-track error without correction (H,), and its response to eta (H, N).
+    belief: Belief,
+    past: Past,
+    road: Road,
+    nominal: Array,
+    S: Array,
+    free: Array,
+    Phi: Array,
+    scratch: Scratch,
+) -> None:
+    """Fill the cross-track error without correction (H,), and its response to eta, transposed.
 
     Args:
-        vehicle: m, I_z, l_f, l_r, C_f, C_r.
-        actuator: Delay and lag of the steering.
-        T: Step [s].
+        belief: Vehicle, steering and step.
         past: State, commands still on their way, disturbance.
         road: Speed and curvature along the horizon.
         nominal: Angles without correction (H,) [rad].
         S: Running sum of the Laguerre functions (N_c, N): the correction at step i is S(i) eta.
+        free: Receives the error (H,) [m].
+        Phi: Receives the response (N, H).
+        scratch: Auxiliary memory.
     """
-    H, N, n = len(nominal), S.shape[1], actuator.ticks
-    free, Phi = np.empty(H), np.empty((H, N))
-    x: Array = past.x
-    response: Array = np.zeros((STATES, N))
-    v = -1.0
-    for j in range(H):
+    begin, n, v = scratch.used[0], belief.actuator.ticks, -1.0
+    x, response = vector(scratch, STATES), matrix(scratch, len(Phi), STATES)
+    model, following = blank_model(scratch), vector(scratch, STATES)
+    for i in range(STATES):
+        x[i] = past.x[i]
+    for j in range(len(free)):
         if abs(road.speed[j + 1] - v) > SPEED_STEP * abs(v):
             v = road.speed[j + 1]
-            A, B_old, B_new, D = sampled_model(vehicle, v, T, actuator)
+            sample(belief.vehicle, v, belief.limits.T, belief.actuator, model, scratch)
         old, new = input_at(j - n - 1, past.sent, nominal), input_at(j - n, past.sent, nominal)
-        x = apply(A, x)
-        response = product(A, response)
+        advance(model.A, x, following)
         for i in range(STATES):
-            x[i] += B_old[i] * old + B_new[i] * new + D[i] * road.curvature[j + 1]
-            x[i] += past.disturbance[i]
-        if j > n:
-            add_outer(response, B_old, S[min(j - n - 1, len(S) - 1)])
-        if j >= n:
-            add_outer(response, B_new, S[min(j - n, len(S) - 1)])
+            x[i] += model.B_old[i] * old + model.B_new[i] * new
+            x[i] += model.D[i] * road.curvature[j + 1] + past.disturbance[i]
         free[j] = x[E_Y]
-        put(Phi[j], response[E_Y])
-    return free, Phi
+        for k in range(len(Phi)):
+            advance(model.A, response[k], following)
+            old, new = correction(S, j - n - 1, k), correction(S, j - n, k)
+            for i in range(STATES):
+                response[k, i] += model.B_old[i] * old + model.B_new[i] * new
+            Phi[k, j] = response[k, E_Y]
+    scratch.used[0] = begin
 
 
-@compiled
+@in_place
 def input_at(i: int, sent: Array, nominal: Array) -> float:
     """Angle commanded at step i of the horizon; negative steps lie in the past [rad]."""
     if i >= 0:
@@ -163,100 +164,101 @@ def input_at(i: int, sent: Array, nominal: Array) -> float:
     return float(sent[max(len(sent) + i, 0)])
 
 
-@compiled
-def return_path(e_y: float, e_y_rate: float, v_x: float, H: int, T: float) -> Array:
-    """Cross-track error to aim at, (H,) [m]: zero, or a gentle return from farther away.
+@in_place
+def correction(S: Array, i: int, k: int) -> float:
+    """Correction at step i under the k-th Laguerre function: none in the past, held in the end."""
+    return float(S[min(i, len(S) - 1), k]) if i >= 0 else 0.0
+
+
+@in_place
+def return_path(past: Past, v_x: float, T: float, aim: Array) -> None:
+    """Fill the cross-track error to aim at, (H,) [m]: zero, or a gentle return from farther away.
 
     Without it a car that joins from metres away is pulled as hard as the tyres can; with it the
     pull does not depend on the friction that the road really has.
 
     Args:
-        e_y: Cross-track error now [m].
-        e_y_rate: Its rate now [m/s].
+        past: State relative to the path.
         v_x: Speed [m/s].
-        H: Steps.
         T: Step [s].
+        aim: Receives the errors.
     """
-    side = 1.0 if e_y > 0.0 else -1.0
-    rest, rate = max(side * e_y - HEAD_START, 0.0), side * e_y_rate
+    side = 1.0 if past.x[E_Y] > 0.0 else -1.0
+    rest = max(side * past.x[E_Y] - HEAD_START, 0.0)
+    rate = side * (past.x[V_Y] + v_x * past.x[E_PSI])
     fastest = min(RETURN_RATE, RETURN_SLOPE * v_x)
-    aim = np.zeros(H)
-    for j in range(H):
+    for j in range(len(aim)):
         wanted = -min(fastest, math.sqrt(2.0 * RETURN_ACCELERATION * rest))
         rate = min(max(wanted, rate - RETURN_ACCELERATION * T), rate + RETURN_ACCELERATION * T)
         rest = max(rest + rate * T, 0.0)
         aim[j] = side * rest
-    return aim
 
 
-@compiled
+@in_place
 def steering_rows(
-    M: Array, gamma: Array, L: Array, nominal: Array, bounds: Array, u: float, step: float
+    qp: Qp, L: Array, S: Array, nominal: Array, bounds: Array, u: float, step: float
 ) -> None:
-    """Fill increment and angle bounds on nominal + correction, Eqs. (13), (14): 4 N_c rows.
+    """Fill increment and angle bounds on nominal + correction, Eqs. (13), (14): 2 N_c rows.
 
     Args:
-        M: Rows to fill from the first on.
-        gamma: Their bounds.
+        qp: Its first rows are filled.
         L: Laguerre functions (N_c, N).
+        S: Their running sum (N_c, N).
         nominal: Angles without correction (H,), feasible [rad].
         bounds: Of the angle at each step (H,) [rad].
         u: Angle in force [rad].
         step: Largest increment per tick [rad].
     """
-    S = running_sum(L)
     for i in range(len(L)):
         increment = nominal[i] - (nominal[i - 1] if i > 0 else u)
         bound = max(bounds[i], abs(nominal[i]))
-        put_two_sided(M, gamma, 4 * i, L[i], -step - increment, step - increment)
-        put_two_sided(M, gamma, 4 * i + 2, S[i], -bound - nominal[i], bound - nominal[i])
+        for j in range(L.shape[1]):
+            qp.M[2 * i, j], qp.M[2 * i + 1, j] = L[i, j], S[i, j]
+        qp.low[2 * i], qp.high[2 * i] = -step - increment, step - increment
+        qp.low[2 * i + 1], qp.high[2 * i + 1] = -bound - nominal[i], bound - nominal[i]
 
 
-@compiled
+@inlined
 def preview_plan(
-    vehicle: Vehicle, actuator: Actuator, gains: Gains, limits: Limits, past: Past, road: Road
+    belief: Belief, gains: Gains, past: Past, road: Road, lateral: Array, scratch: Scratch
 ) -> Plan:
     """Angle to command now: nominal steering plus the Laguerre correction of least cost.
 
     Args:
-        vehicle: m, I_z, l_f, l_r, C_f, C_r.
-        actuator: Delay and lag of the steering.
+        belief: Vehicle, steering, limits.
         gains: N_p, N_c, N, alpha, Q, R; the increments of the CORRECTION are weighted with R.
-        limits: Bounds and solver.
         past: State, commands on their way, disturbance.
         road: Speed and curvature along the horizon of H = N_p + delay steps.
+        lateral: Receives the predicted cross-track error (H,) [m].
+        scratch: Memory for the programme.
     """
     _, N_c, N, alpha, Q, R = gains
-    u, H = past.sent[len(past.sent) - 1], len(road.speed) - 1
-    bounds = angle_bounds(vehicle, road, limits.u_max, FRICTION_SHARE * limits.mu_g)
-    nominal = nominal_steering(vehicle, road, u, bounds, limits)
-    L = laguerre_sequence(alpha, N, N_c)
-    free, Phi = predict_on_road(vehicle, actuator, limits.T, past, road, nominal, running_sum(L))
-    v, e_y_rate = road.speed[1], past.x[V_Y] + road.speed[1] * past.x[E_PSI]
-    aim = return_path(past.x[E_Y], e_y_rate, v, H, limits.T)
-    E, K = quadratic_cost(Phi, aim - free, L, Q, R)
-    h, s = 4 * N_c, output_steps(H, H, limits.half_width)
-    if s > 0:
-        E, K = with_slack(E, K, limits.slack_weight)
-    m = h + 2 * s + 1 if s > 0 else h
-    M, gamma = np.zeros((m, len(K))), np.zeros(m)
-    steering_rows(M, gamma, L, nominal, bounds, u, limits.Delta_u_max)
-    if s > 0:
-        output_rows(M[h:], gamma[h:], Phi, -free, limits.half_width)
-    solution = solve(Qp(E, K, M, gamma), limits)
-    return decide(solution, L, nominal, free, Phi)
-
-
-@compiled
-def decide(solution: QpSolution, L: Array, nominal: Array, free: Array, Phi: Array) -> Plan:
-    """Read the plan off a solution; without one, the nominal steering is the plan."""
-    eta = solution.x[: L.shape[1]].copy()
-    if solution.status != 0:
-        eta[:] = 0.0
-    active = 0
-    for multiplier in solution.multipliers:
-        active += multiplier > 0.0
-    slack = solution.x[len(eta)] if len(solution.x) > len(eta) else 0.0
-    steering = nominal[0] + dot(L[0], eta)
-    lateral = free + apply(Phi, eta)
-    return Plan(steering, active, slack, solution.iterations, solution.status, lateral)
+    limits, H, u = belief.limits, len(lateral), past.sent[len(past.sent) - 1]
+    nominal, bounds, aim = vector(scratch, H), vector(scratch, H), vector(scratch, H)
+    L, S, Phi = matrix(scratch, N_c, N), matrix(scratch, N_c, N), matrix(scratch, N, H)
+    nominal_steering(belief, road, u, nominal, bounds)
+    laguerre_sequence(alpha, L)
+    running_sum(L, S)
+    predict_on_road(belief, past, road, nominal, S, lateral, Phi, scratch)
+    return_path(past, road.speed[1], limits.T, aim)
+    for j in range(H):
+        aim[j] -= lateral[j]
+    qp = blank_programme(gains, output_steps(H, H, limits.half_width), scratch)
+    quadratic_cost(Phi, aim, L, (Q, R), qp.E, qp.K)
+    steering_rows(qp, L, S, nominal, bounds, u, limits.Delta_u_max)
+    if len(qp.K) > N:
+        for j in range(H):
+            aim[j] = -lateral[j]
+        qp.E[N, N] = 2 * limits.slack_weight
+        output_rows(qp, 2 * N_c, Phi, aim, limits.half_width)
+    eta, multipliers = vector(scratch, len(qp.K)), vector(scratch, len(qp.low))
+    iterations, status = solve(qp, limits, eta, multipliers, scratch)
+    if status != SOLVED:
+        for j in range(N):
+            eta[j] = 0.0
+    for k in range(N):
+        for j in range(H):
+            lateral[j] += eta[k] * Phi[k, j]
+    slack = eta[N] if len(eta) > N else 0.0
+    steering = nominal[0] + dot(L[0], eta[:N])
+    return Plan(steering, count_active(multipliers), slack, iterations, status)

@@ -6,8 +6,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-from ampc_ros.small_matrices import backward, cholesky, dot, forward, project_out, put
+from ampc_msgs_config.compiled import in_place, inlined
+from ampc_ros.small_matrices import (
+    Scratch,
+    backward,
+    cholesky,
+    dot,
+    forward,
+    make_scratch,
+    matrix,
+    project_out,
+    vector,
+)
 
 Array = NDArray[np.float64]
 
@@ -21,7 +31,7 @@ MAX_ENTRIES = 500
 
 
 class Qp(NamedTuple):
-    """Minimise 1/2 x' E x + x' K subject to M x <= gamma, Eq. (17)."""
+    """Minimise 1/2 x' E x + x' K subject to low <= M x <= high, Eq. (17) with rows of two sides."""
 
     E: Array
     """(n, n), symmetric and positive definite."""
@@ -29,8 +39,10 @@ class Qp(NamedTuple):
     """(n,)."""
     M: Array
     """(m, n)."""
-    gamma: Array
-    """(m,)."""
+    low: Array
+    """(m,), may be -inf."""
+    high: Array
+    """(m,), may be inf."""
 
 
 class QpSolution(NamedTuple):
@@ -39,7 +51,7 @@ class QpSolution(NamedTuple):
     x: Array
     """(n,)."""
     multipliers: Array
-    """lambda of Eq. (30), (m,)."""
+    """lambda of Eq. (30), (m,): positive at the upper bound, negative at the lower one."""
     iterations: int
     """Rows that entered the active set, or sweeps."""
     status: int
@@ -52,7 +64,7 @@ class QpSolution(NamedTuple):
 
 
 class NearestPoint(NamedTuple):
-    """The same in w = C' x, with E = C C': find the point of a polyhedron nearest to `start`."""
+    """The same in w = C' x, with E = C C': the point of a polyhedron nearest to `start`."""
 
     C: Array
     """(n, n), lower triangular."""
@@ -60,121 +72,184 @@ class NearestPoint(NamedTuple):
     """Unconstrained minimum -C^-1 K (n,)."""
     scale: float
     """Its length: the size of the numbers in the problem."""
-    rows: Array
-    """(m, n), each of unit length, or zero."""
-    bounds: Array
-    """(m,)."""
-    lengths: Array
-    """(m,) of the rows before they were scaled."""
-
-
-@compiled
-def nearest_point(qp: Qp) -> tuple[NearestPoint, int]:
-    """Transform a programme; gives NOT_CONVEX, or UNFINISHED if its numbers are not finite."""
-    C, convex = cholesky(qp.E)
-    if not convex:
-        C = np.eye(len(qp.K))
-    start = forward(C, qp.K)
-    for j in range(len(start)):
-        start[j] = -start[j]
-    scale = math.sqrt(dot(start, start))
-    rows, bounds, lengths = unit_rows(C, qp.M, qp.gamma)
-    status = SOLVED if scale < math.inf else UNFINISHED
-    return NearestPoint(C, start, scale, rows, bounds, lengths), status if convex else NOT_CONVEX
-
-
-@compiled
-def unit_rows(C: Array, M: Array, gamma: Array) -> tuple[Array, Array, Array]:
-    """Rows and bounds of the constraints on w = C' x, scaled to unit length, and the lengths."""
-    rows, bounds, lengths = np.empty_like(M), np.empty_like(gamma), np.ones(len(gamma))
-    for i in range(len(gamma)):
-        row = forward(C, M[i])
-        length = math.sqrt(dot(row, row))
-        if length > 0.0:
-            lengths[i] = length
-        bounds[i] = gamma[i] / lengths[i]
-        for j in range(len(row)):
-            rows[i, j] = row[j] / lengths[i]
-    return rows, bounds, lengths
-
-
-@compiled
-def solution_at(
-    task: NearestPoint, w: Array, multipliers: Array, iterations: int, status: int
-) -> QpSolution:
-    """Transform a point w (n,) and its multipliers (m,) back."""
-    for i in range(len(multipliers)):
-        multipliers[i] /= task.lengths[i]
-    return QpSolution(backward(task.C, w), multipliers, iterations, status)
-
-
-@compiled
-def most_violated(task: NearestPoint, w: Array) -> int:
-    """Index of the row that w (n,) violates most, -1 if there is none."""
-    worst, violation = -1, 0.0
-    for i in range(len(task.bounds)):
-        excess = dot(task.rows[i], w) - task.bounds[i]
-        if excess > max(violation, TOLERANCE * max(task.scale, abs(task.bounds[i]))):
-            worst, violation = i, excess
-    return worst
+    status: int
+    """SOLVED; NOT_CONVEX; UNFINISHED if the numbers are not finite."""
 
 
 class ActiveRows(NamedTuple):
-    """Working set of the dual method; the first k entries of each array count, k <= n."""
+    """Working set of k <= n rows; place k is that of the row which wants to enter."""
 
-    size: NDArray[np.int64]
+    size: Array
     """(1,) k."""
-    chosen: NDArray[np.int64]
-    """(n,) rows that are held with equality."""
+    chosen: Array
+    """(n + 1,) index of the row."""
+    holds: Array
+    """(m,) whether a row is in the set."""
+    side: Array
+    """(n + 1,) 1: it holds at its upper bound, -1: at its lower one."""
+    rows: Array
+    """(n + 1, n) side * row C^-1', scaled to unit length."""
+    bounds: Array
+    """(n + 1,) of rows w."""
+    lengths: Array
+    """(n + 1,) of the rows before they were scaled."""
     multipliers: Array
-    """(n,)."""
+    """(n + 1,)."""
     basis: Array
-    """(n, n) orthonormal rows that span them."""
+    """(n, n) orthonormal rows that span the active ones."""
     S: Array
     """(n, n) lower triangular: active rows = S basis."""
+    coordinates: Array
+    """(n,) of the last vector that was parted, in the basis."""
+    rest: Array
+    """(n,) of that vector."""
+    held: Array
+    """(n,) auxiliary."""
 
 
-@compiled
-def no_active_rows(n: int) -> ActiveRows:
-    """Give an empty working set for n unknowns."""
-    size, chosen = np.zeros(1, np.int64), np.zeros(n, np.int64)
-    return ActiveRows(size, chosen, np.zeros(n), np.zeros((n, n)), np.zeros((n, n)))
+def solution_of(qp: Qp) -> QpSolution:
+    """Solve a programme with `active_set`, in memory of its own."""
+    m, n = qp.M.shape
+    x, multipliers = np.zeros(n), np.zeros(m)
+    iterations, status = active_set(qp, x, multipliers, make_scratch(solver_numbers(m, n)))
+    return QpSolution(x, multipliers, iterations, status)
 
 
-@compiled
-def orthonormalise(active: ActiveRows, rows: Array, first: int) -> None:
+def solver_numbers(m: int, n: int) -> int:
+    """Give the scratch memory that `active_set` needs for m rows of n unknowns."""
+    return m + 4 * n * n + 20 * n + 10
+
+
+@inlined
+def nearest_point(qp: Qp, scratch: Scratch) -> NearestPoint:
+    """Transform a programme."""
+    n = len(qp.K)
+    C, start = matrix(scratch, n, n), vector(scratch, n)
+    if not cholesky(qp.E, C):
+        for j in range(n):
+            C[j, j] = 1.0
+        return NearestPoint(C, start, 0.0, NOT_CONVEX)
+    forward(C, qp.K, n, start)
+    for j in range(n):
+        start[j] = -start[j]
+    scale = math.sqrt(dot(start, start))
+    return NearestPoint(C, start, scale, SOLVED if scale < math.inf else UNFINISHED)
+
+
+@in_place
+def unit_row(C: Array, row: Array, side: float, unit: Array) -> float:
+    """Fill the unit row that acts on w = C' x as side * row (n,) on x; gives the length lost."""
+    forward(C, row, len(row), unit)
+    length = math.sqrt(dot(unit, unit))
+    if not length > 0.0:
+        return 1.0
+    for j in range(len(unit)):
+        unit[j] *= side / length
+    return length
+
+
+@inlined
+def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
+    """Give an empty working set for m rows of n unknowns."""
+    return ActiveRows(
+        vector(scratch, 1),
+        vector(scratch, n + 1),
+        vector(scratch, m),
+        vector(scratch, n + 1),
+        matrix(scratch, n + 1, n),
+        vector(scratch, n + 1),
+        vector(scratch, n + 1),
+        vector(scratch, n + 1),
+        matrix(scratch, n, n),
+        matrix(scratch, n, n),
+        vector(scratch, n),
+        vector(scratch, n),
+        vector(scratch, n),
+    )
+
+
+@in_place
+def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float) -> tuple[float, int]:
+    """Largest violation below a ceiling, and its row: x (n,) against all that do not hold (m,)."""
+    worst, row = 0.0, -1
+    for i in range(len(qp.low)):
+        value = dot(qp.M[i], x)
+        excess = max(value - qp.high[i], qp.low[i] - value)
+        if worst < excess < ceiling and holds[i] == 0.0:
+            worst, row = excess, i
+    return worst, row
+
+
+@inlined
+def pick_up(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array) -> bool:
+    """Put the row that x (n,) violates most into the place of the one to enter, if there is one."""
+    k, excess = int(active.size[0]), math.inf
+    unit = active.rows[k]
+    while True:
+        excess, i = worst_excess(qp, x, active.holds, excess)
+        if i < 0:
+            return False
+        side = 1.0 if dot(qp.M[i], x) > qp.high[i] else -1.0
+        bound = qp.high[i] if side > 0.0 else -qp.low[i]
+        length = unit_row(task.C, qp.M[i], side, unit)
+        if excess > TOLERANCE * max(task.scale * length, abs(bound)):
+            active.chosen[k], active.side[k], active.lengths[k] = i, side, length
+            active.bounds[k], active.multipliers[k] = bound / length, 0.0
+            return True
+
+
+@inlined
+def orthonormalise(active: ActiveRows, first: int) -> None:
     """Bring basis and S of the active rows from `first` on up to date."""
-    for i in range(first, active.size[0]):
-        coordinates, rest = project_out(rows[active.chosen[i]], active.basis[:i])
-        put(active.S[i], coordinates)
-        active.S[i, i] = math.sqrt(dot(rest, rest))
+    for i in range(first, int(active.size[0])):
+        rest = active.basis[i]
+        project_out(active.rows[i], active.basis, i, active.S[i], rest, 2)
+        length = math.sqrt(dot(rest, rest))
+        active.S[i, i] = length
         for j in range(len(rest)):
-            active.basis[i, j] = rest[j] / active.S[i, i]
+            rest[j] /= length
 
 
-@compiled
-def drop(active: ActiveRows, rows: Array, blocking: int) -> None:
-    """Take a row out of the working set."""
+@inlined
+def extend(active: ActiveRows, length: float) -> None:
+    """Take the row in that was parted last, and whose rest has this length."""
+    k = int(active.size[0])
+    for i in range(k):
+        active.S[k, i] = active.coordinates[i]
+    active.S[k, k] = length
+    for j in range(len(active.rest)):
+        active.basis[k, j] = active.rest[j] / length
+    active.holds[int(active.chosen[k])] = 1.0
+    active.size[0] = k + 1
+
+
+@inlined
+def drop(active: ActiveRows, blocking: int) -> None:
+    """Take a row out of the working set; the one that wants to enter moves up with the others."""
     active.size[0] -= 1
-    for i in range(blocking, active.size[0]):
-        active.chosen[i] = active.chosen[i + 1]
+    active.holds[int(active.chosen[blocking])] = 0.0
+    for i in range(blocking, int(active.size[0]) + 1):
+        active.chosen[i], active.side[i] = active.chosen[i + 1], active.side[i + 1]
+        active.bounds[i], active.lengths[i] = active.bounds[i + 1], active.lengths[i + 1]
         active.multipliers[i] = active.multipliers[i + 1]
-    orthonormalise(active, rows, blocking)
+        for j in range(active.rows.shape[1]):
+            active.rows[i, j] = active.rows[i + 1, j]
+    orthonormalise(active, blocking)
 
 
-@compiled
-def longest_step(falling: Array, multipliers: Array) -> tuple[float, int]:
-    """Step at which the first multiplier (k,) reaches zero while each falls at its rate (k,)."""
+@in_place
+def longest_step(falling: Array, multipliers: Array, k: int) -> tuple[float, int]:
+    """Step at which the first of k multipliers reaches zero while each falls at its rate."""
     step, blocking = math.inf, -1
-    for i in range(len(falling)):
+    for i in range(k):
         if falling[i] > 0.0 and multipliers[i] < step * falling[i]:
             step, blocking = multipliers[i] / falling[i], i
     return step, blocking
 
 
-@compiled
-def enter(task: NearestPoint, active: ActiveRows, w: Array, target: int) -> bool:
-    """Let a violated row into the working set; rows that are in its way leave.
+@inlined
+def enter(active: ActiveRows, w: Array) -> bool:
+    """Let the row in that was picked up; rows that are in its way leave.
 
     A row is in the way if its multiplier would turn negative. The multipliers and w (n,), changed
     in place, are those of the way there: see `settle`.
@@ -183,16 +258,16 @@ def enter(task: NearestPoint, active: ActiveRows, w: Array, target: int) -> bool
         Whether there is a point that keeps these rows.
     """
     while True:
-        k = active.size[0]
-        coordinates, rest = project_out(task.rows[target], active.basis[:k])
-        falling = backward(active.S, coordinates)
-        dual_step, blocking = longest_step(falling, active.multipliers)
+        k = int(active.size[0])
+        row, rest, falling = active.rows[k], active.rest, active.held
+        project_out(row, active.basis, k, active.coordinates, rest, 2)
+        backward(active.S, active.coordinates, k, falling)
+        dual_step, blocking = longest_step(falling, active.multipliers, k)
         slope = dot(rest, rest)
-        excess = max(dot(task.rows[target], w) - task.bounds[target], 0.0)
+        excess = max(dot(row, w) - active.bounds[k], 0.0)
         primal_step = excess / slope if slope > DEPENDENT and k < len(w) else math.inf
         if primal_step <= dual_step and primal_step < math.inf:
-            active.chosen[k], active.size[0] = target, k + 1
-            orthonormalise(active, task.rows, k)
+            extend(active, math.sqrt(slope))
             return True
         if blocking < 0:
             return False
@@ -200,49 +275,57 @@ def enter(task: NearestPoint, active: ActiveRows, w: Array, target: int) -> bool
             active.multipliers[i] -= dual_step * falling[i]
         for j in range(len(w)):
             w[j] -= dual_step * rest[j]
-        drop(active, task.rows, blocking)
+        drop(active, blocking)
 
 
-@compiled
-def settle(task: NearestPoint, active: ActiveRows, w: Array) -> None:
+@inlined
+def settle(start: Array, active: ActiveRows, w: Array) -> None:
     """Put w (n,) where the active rows hold, nearest to the start; set the multipliers of this.
 
     Note:
         Computed from the start each time, so that no rounding error of earlier changes stays.
     """
-    k = active.size[0]
-    coordinates, rest = project_out(task.start, active.basis[:k])
-    held = np.empty(k)
+    k = int(active.size[0])
+    project_out(start, active.basis, k, active.coordinates, w, 1)
+    forward(active.S, active.bounds, k, active.held)
     for i in range(k):
-        held[i] = task.bounds[active.chosen[i]]
-    held = forward(active.S, held)
-    put(w, rest)
-    for i in range(k):
-        coordinates[i] -= held[i]
+        active.coordinates[i] -= active.held[i]
         for j in range(len(w)):
-            w[j] += held[i] * active.basis[i, j]
-    multipliers = backward(active.S, coordinates)
+            w[j] += active.held[i] * active.basis[i, j]
+    backward(active.S, active.coordinates, k, active.multipliers)
     for i in range(k):
-        active.multipliers[i] = max(multipliers[i], 0.0)
+        active.multipliers[i] = max(active.multipliers[i], 0.0)
 
 
-@compiled
-def active_set(qp: Qp) -> QpSolution:
+@in_place
+def active_set(qp: Qp, x: Array, multipliers: Array, scratch: Scratch) -> tuple[int, int]:
     """Solve a strictly convex programme exactly, or say why not.
 
     Starts at the unconstrained minimum and lets the most violated row in until none is violated.
+
+    Args:
+        qp: The programme.
+        x: Receives the minimiser (n,).
+        multipliers: Receives lambda (m,), zeros before.
+        scratch: At least `solver_numbers(m, n)` free.
+
+    Returns:
+        How many rows entered, and the status.
     """
-    task, status = nearest_point(qp)
-    active, w, entered = no_active_rows(len(qp.K)), task.start.copy(), 0
-    target = most_violated(task, w)
-    while status == SOLVED and target >= 0:
-        feasible = enter(task, active, w, target)
+    begin, n, entered = scratch.used[0], len(qp.K), 0
+    task = nearest_point(qp, scratch)
+    active, w, status = no_active_rows(len(qp.low), n, scratch), vector(scratch, n), task.status
+    settle(task.start, active, w)
+    backward(task.C, w, n, x)
+    while status == SOLVED and pick_up(qp, task, active, x):
+        feasible = enter(active, w)
         entered += 1
-        settle(task, active, w)
-        target = most_violated(task, w)
+        settle(task.start, active, w)
+        backward(task.C, w, n, x)
         if not feasible or entered == MAX_ENTRIES:
             status = UNFINISHED if feasible else INFEASIBLE
-    multipliers = np.zeros(len(task.bounds))
-    for i in range(active.size[0]):
-        multipliers[active.chosen[i]] = active.multipliers[i]
-    return solution_at(task, w, multipliers, entered, status)
+    for i in range(int(active.size[0])):
+        share = active.side[i] * active.multipliers[i] / active.lengths[i]
+        multipliers[int(active.chosen[i])] = share
+    scratch.used[0] = begin
+    return entered, status

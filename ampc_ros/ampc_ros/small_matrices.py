@@ -1,126 +1,115 @@
-"""Small matrices as plain loops: no BLAS call, quick to compile."""
+"""Small matrices as plain loops in scratch memory: no allocation, no BLAS, quick to compile."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.compiled import in_place, written_out
 
 Array = NDArray[np.float64]
 
 
-@compiled
+class Scratch(NamedTuple):
+    """Memory for what a tick needs on the way; who resets `used` gives all back."""
+
+    numbers: Array
+    """(size,)."""
+    used: NDArray[np.int64]
+    """(1,) how many of them are in use."""
+
+
+def make_scratch(size: int) -> Scratch:
+    """Give memory for so many numbers."""
+    return Scratch(np.zeros(size), np.zeros(1, np.int64))
+
+
+@written_out
+def vector(scratch: Scratch, n: int) -> Array:
+    """Take n zeros."""
+    start = scratch.used[0]
+    if start + n > len(scratch.numbers):
+        raise MemoryError("scratch memory is too small")
+    scratch.used[0] = start + n
+    zeros = scratch.numbers[start : start + n]
+    for i in range(n):
+        zeros[i] = 0.0
+    return zeros
+
+
+@written_out
+def matrix(scratch: Scratch, m: int, n: int) -> Array:
+    """Take (m, n) zeros."""
+    return vector(scratch, m * n).reshape(m, n)
+
+
+@in_place
 def dot(a: Array, b: Array) -> float:
-    """Scalar product of two vectors (n,)."""
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
+    """Scalar product of two vectors (n,), in four sums that do not wait for each other."""
+    n = len(a)
+    s_0, s_1, s_2, s_3 = 0.0, 0.0, 0.0, 0.0
+    for i in range(0, n - 3, 4):
+        s_0 += a[i] * b[i]
+        s_1 += a[i + 1] * b[i + 1]
+        s_2 += a[i + 2] * b[i + 2]
+        s_3 += a[i + 3] * b[i + 3]
+    for i in range(n - n % 4, n):
+        s_0 += a[i] * b[i]
+    return (s_0 + s_1) + (s_2 + s_3)
 
 
-@compiled
-def apply(A: Array, x: Array) -> Array:
-    """A x for A (m, n) and x (n,)."""
-    y = np.empty(len(A))
-    for i in range(len(A)):
-        y[i] = dot(A[i], x)
-    return y
-
-
-@compiled
-def apply_transposed(A: Array, x: Array) -> Array:
-    """A' x for A (m, n) and x (m,)."""
-    y = np.zeros(A.shape[1])
-    for i in range(len(A)):
-        for j in range(A.shape[1]):
-            y[j] += A[i, j] * x[i]
-    return y
-
-
-@compiled
-def product(A: Array, B: Array) -> Array:
-    """A B for A (m, n) and B (n, p)."""
-    C = np.zeros((len(A), B.shape[1]))
-    for i in range(len(A)):
-        for k in range(len(B)):
-            for j in range(B.shape[1]):
-                C[i, j] += A[i, k] * B[k, j]
-    return C
-
-
-@compiled
-def gram(A: Array) -> Array:
-    """A' A (n, n) for A (m, n)."""
-    n = A.shape[1]
-    C = np.zeros((n, n))
-    for i in range(len(A)):
-        for j in range(n):
-            for k in range(n):
-                C[j, k] += A[i, j] * A[i, k]
-    return C
-
-
-@compiled
-def put(target: Array, source: Array) -> None:
-    """Write a vector (n,) into another, longer one from its first place on.
-
-    Note:
-        `target[:n] = source` takes seconds to compile, for the text of its error message.
-    """
-    for i in range(len(source)):
-        target[i] = source[i]
-
-
-@compiled
-def cholesky(E: Array) -> tuple[Array, bool]:
-    """Lower factor C of E = C C' (n, n), and whether E is positive definite in its digits."""
+@in_place
+def cholesky(E: Array, C: Array) -> bool:
+    """Fill the lower factor C of E = C C' (n, n); tells whether E is positive definite."""
     n = len(E)
-    C = np.zeros((n, n))
     for j in range(n):
-        pivot = E[j, j] - dot(C[j, :j], C[j, :j])
-        if not pivot > 1e-14 * abs(E[j, j]):
-            return C, False
-        C[j, j] = math.sqrt(pivot)
-        for i in range(j + 1, n):
-            C[i, j] = (E[i, j] - dot(C[i, :j], C[j, :j])) / C[j, j]
-    return C, True
+        for i in range(j, n):
+            rest = E[i, j]
+            for k in range(j):
+                rest -= C[i, k] * C[j, k]
+            if i == j and not rest > 1e-14 * abs(E[j, j]):
+                return False
+            C[i, j] = math.sqrt(rest) if i == j else rest / C[j, j]
+    return True
 
 
-@compiled
-def forward(C: Array, b: Array) -> Array:
-    """Solve C x = b for a lower triangular C, whose first len(b) rows and columns count."""
-    x = np.empty(len(b))
-    for i in range(len(b)):
-        x[i] = (b[i] - dot(C[i, :i], x[:i])) / C[i, i]
-    return x
-
-
-@compiled
-def backward(C: Array, b: Array) -> Array:
-    """Solve C' x = b for a lower triangular C, whose first len(b) rows and columns count."""
-    n = len(b)
-    x = b.copy()
-    for i in range(n - 1, -1, -1):
-        x[i] /= C[i, i]
+@in_place
+def forward(C: Array, b: Array, n: int, x: Array) -> None:
+    """Solve C x = b for a lower triangular C, whose first n rows and columns count."""
+    for i in range(n):
+        rest = b[i]
         for j in range(i):
-            x[j] -= C[i, j] * x[i]
-    return x
+            rest -= C[i, j] * x[j]
+        x[i] = rest / C[i, i]
 
 
-@compiled
-def project_out(vector: Array, basis: Array) -> tuple[Array, Array]:
-    """Part a vector (n,): coordinates (k,) in orthonormal rows (k, n), and what is left (n,).
+@in_place
+def backward(C: Array, b: Array, n: int, x: Array) -> None:
+    """Solve C' x = b for a lower triangular C, whose first n rows and columns count."""
+    for i in range(n - 1, -1, -1):
+        rest = b[i]
+        for j in range(i + 1, n):
+            rest -= C[j, i] * x[j]
+        x[i] = rest / C[i, i]
+
+
+@in_place
+def project_out(
+    vector: Array, basis: Array, k: int, coordinates: Array, rest: Array, passes: int
+) -> None:
+    """Part a vector (n,): coordinates (k,) in the first k rows of an orthonormal basis, the rest.
 
     Note:
-        Gram-Schmidt, done twice, which keeps orthogonality to working precision.
+        Gram-Schmidt; done in two passes, it keeps orthogonality to working precision.
     """
-    coordinates = np.zeros(len(basis))
-    rest = vector.copy()
-    for _ in range(2):
-        for i in range(len(basis)):
+    for j in range(len(vector)):
+        rest[j] = vector[j]
+    for i in range(k):
+        coordinates[i] = 0.0
+    for _ in range(passes):
+        for i in range(k):
             share = dot(basis[i], rest)
             coordinates[i] += share
             for j in range(len(rest)):
                 rest[j] -= share * basis[i, j]
-    return coordinates, rest
