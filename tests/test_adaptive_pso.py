@@ -16,6 +16,7 @@ from ampc_ros.adaptive_pso import (
     adapted_weights,
     classified,
     evolutionary_factor,
+    jump,
     learned,
 )
 from ampc_ros.pso import search
@@ -131,6 +132,27 @@ def test_a_worse_jump_is_where_the_worst_particle_goes() -> None:
     changed = np.any(after.position != swarm.position, axis=1)
     assert np.flatnonzero(changed).tolist() == [worst]
     assert np.array_equal(after.best_position, swarm.best_position)
+
+
+def test_a_jump_that_beats_only_the_worst_particle_becomes_the_best_of_that_one() -> None:
+    swarm, task = converged()
+    worst = int(np.argmax(swarm.fitness))
+    between = np.sort(swarm.fitness)[-2:].mean()
+    after = learned(swarm, task._replace(evaluate=lambda x: np.full(len(x), between)))
+    assert after.best_fitness[worst] == between
+    assert np.array_equal(after.best_position[worst], after.position[worst])
+    assert after.leader == swarm.leader
+
+
+@pytest.mark.parametrize(("generation", "sigma"), [(0, 1.0), (5, 0.55), (10, 0.1), (30, 0.1)])
+def test_jumps_shrink_linearly_along_the_schedule(generation: int, sigma: float) -> None:
+    swarm, task = converged()
+    places = np.array([jump(swarm._replace(generation=generation), task) for _ in range(2000)])
+    low, high, _ = task.space
+    shares = (places - swarm.best_position[swarm.leader]) / (high - low)
+    moved = np.where(shares[:, 0] != 0, shares[:, 0], shares[:, 1])
+    assert np.mean(np.abs(moved) < 0.2) == pytest.approx(math.erf(0.2 / sigma / 2**0.5), abs=0.04)
+    assert np.all((low <= places) & (places <= high))
 
 
 def test_only_a_converged_swarm_jumps() -> None:

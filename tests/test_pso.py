@@ -1,8 +1,6 @@
 """Particle swarms: Eqs. (31)-(34), bounds, failures of the cost, and bits that never differ."""
 
-import json
 import math
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -11,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_ros.pso import Minimum, at_once, minimize, search
+from ampc_ros.pso import Minimum, minimize, search
 from ampc_ros.pso_settings import VARIANTS, Array, Dimension, PsoSettings
 from ampc_ros.pso_weights import scheduled
-from ampc_ros.swarm import Swarm, from_json, to_json
+from ampc_ros.swarm import Swarm
 
 PLANE = (Dimension("x", -10.0, 10.0), Dimension("y", -4.0, 6.0))
 MIXED = (Dimension("N_p", 1, 55, integer=True), Dimension("R", 0.001, 0.1))
@@ -35,12 +33,6 @@ def found(
     )
 
 
-def assert_same(one: Swarm, other: Swarm) -> None:
-    """Bit for bit."""
-    for name, left, right in zip(one._fields, one, other, strict=True):
-        assert np.array_equal(left, right), name
-
-
 def given_swarm(position: Array, velocity: Array, best: Array, cost: Any) -> Swarm:
     """Give a swarm of two particles in the middle of a search."""
     fitness = np.array([cost(x) for x in best])
@@ -57,15 +49,23 @@ def test_particles_move_as_equation_31_says() -> None:
     x, v = np.array([[3.0, 1.0], [-2.0, 5.0]]), np.array([[0.5, -0.25], [0.0, 1.0]])
     best = np.array([[2.0, 1.0], [-1.0, 0.5]])
     swarm = given_swarm(x, v, best, sphere)
-    chosen = PsoSettings(particles=2, generations=1, max_velocity=UNCLAMPED, variant="classic")
+    chosen = PsoSettings(
+        variant="classic",
+        particles=2,
+        generations=1,
+        max_velocity=UNCLAMPED,
+        initial_cognitive=1.5,
+        initial_social=2.5,
+    )
     rng = np.random.default_rng()
     *_, moved = search(sphere, PLANE, chosen, rng, resume=swarm)
     rng.bit_generator.state = swarm.random
     r = rng.random((2, 2, 2))
     for i in range(2):
         for k in range(2):
-            pull = 2 * r[0, i, k] * (best[i, k] - x[i, k]) + 2 * r[1, i, k] * (best[1, k] - x[i, k])
-            assert moved.velocity[i, k] == pytest.approx(0.99 * v[i, k] + pull, abs=1e-12)
+            own = 1.5 * r[0, i, k] * (best[i, k] - x[i, k])
+            common = 2.5 * r[1, i, k] * (best[1, k] - x[i, k])
+            assert moved.velocity[i, k] == pytest.approx(0.99 * v[i, k] + own + common, abs=1e-12)
             assert moved.position[i, k] == pytest.approx(x[i, k] + moved.velocity[i, k], abs=1e-12)
 
 
@@ -154,68 +154,25 @@ def test_each_boundary_rule_treats_a_particle_that_leaves_in_its_way(
     assert moved.velocity[0].tolist() == [velocity, 0.0]
 
 
-def test_the_cost_sees_whole_numbers_where_a_dimension_is_an_integer() -> None:
+def test_the_cost_sees_the_nearest_whole_number_where_a_dimension_is_an_integer() -> None:
     seen: list[float] = []
 
     def cost(position: Array) -> float:
         seen.append(position[0])
         return float((position[0] - 7.2) ** 2 + position[1])
 
-    best = minimize(cost, MIXED, PsoSettings(generations=20), np.random.default_rng(2))
+    chosen = PsoSettings(generations=20)
+    swarms = list(search(cost, MIXED, chosen, np.random.default_rng(2)))
+    flown = np.concatenate([swarm.position[:, 0] for swarm in swarms])
     assert set(seen) <= set(range(1, 56))
-    assert best.position[0] == 7.0
-    assert np.any(best.swarm.position[:, 0] % 1 > 0)
+    assert np.abs(np.array(seen) - flown).max() <= 0.5
+    best = minimize(cost, MIXED, chosen, np.random.default_rng(2))
+    assert best.position[0] == 7.0 != best.swarm.best_position[best.swarm.leader, 0]
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_serial_threads_processes_and_one_call_give_the_same_bits(variant: str) -> None:
-    alone = found(variant)
-    pools: tuple[Executor, ...] = (ThreadPoolExecutor(3), ProcessPoolExecutor(2))
-    for pool in pools:
-        with pool:
-            shared = minimize(
-                sphere, PLANE, PsoSettings(variant=variant), np.random.default_rng(1), pool.map
-            )
-            assert_same(alone.swarm, shared.swarm)
-
-    def whole(positions: Array) -> list[float]:
-        return [sphere(position) for position in positions]
-
-    called = PsoSettings(variant=variant)
-    batch = minimize(whole, PLANE, called, np.random.default_rng(1), at_once)
-    assert_same(alone.swarm, batch.swarm)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_a_search_resumed_from_a_file_at_any_generation_ends_with_the_same_bits(
-    variant: str,
-) -> None:
-    chosen = PsoSettings(variant=variant)
-    swarms = list(search(sphere, PLANE, chosen, np.random.default_rng(3)))
-    for saved in swarms[:: max(1, len(swarms) // 4)]:
-        read = from_json(json.loads(json.dumps(to_json(saved), allow_nan=False)))
-        assert_same(saved, read)
-        end = minimize(sphere, PLANE, chosen, np.random.default_rng(99), resume=read)
-        assert_same(swarms[-1], end.swarm)
-
-
-def test_another_seed_gives_another_search() -> None:
-    assert found(seed=1).fitness != found(seed=2).fitness
-
-
-@pytest.mark.parametrize("boundary", ["clip", "absorb", "reflect"])
-@pytest.mark.parametrize("variant", VARIANTS[:-1])
-def test_the_mirrored_problem_has_the_mirrored_search(variant: str, boundary: str) -> None:
-    square = tuple(Dimension(name, -10.0, 10.0) for name in "xy")
-    chosen = PsoSettings(variant=variant, boundary=boundary, max_velocity=UNCLAMPED)
-    centre = np.array([9.0, -3.0])
-    there, back = partial(sphere_about, centre), partial(sphere_about, -centre)
-    swarms = list(search(there, square, chosen, np.random.default_rng(4)))
-    first = swarms[0]
-    mirrored = first._replace(position=-first.position, best_position=-first.best_position)
-    end = minimize(back, square, chosen, np.random.default_rng(), resume=mirrored).swarm
-    assert np.array_equal(end.position, -swarms[-1].position)
-    assert np.array_equal(end.history, swarms[-1].history)
+def test_an_equal_fitness_is_no_reason_to_leave_the_best_position() -> None:
+    first, *_, last = search(lambda _: 1.0, PLANE, PsoSettings(), np.random.default_rng(1))
+    assert np.array_equal(last.best_position, first.position)
 
 
 def test_the_variants_end_in_the_order_that_the_paper_claims_on_the_sphere() -> None:
