@@ -15,7 +15,8 @@ from ampc_msgs_config.parameters import ChassisParameters
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import GRAVITY, Vehicle, load_vehicle, numbers
-from sim_vehicle.vehicle import A_Y, SLIP, V_X, V_Y, YAW, YAW_RATE, Array, X, Y, wheel_loads
+from sim_vehicle.vehicle import A_Y, SLIP, V_X, V_Y, YAW, YAW_RATE, Array, X, Y
+from sim_vehicle.wheels import wheel_loads
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))

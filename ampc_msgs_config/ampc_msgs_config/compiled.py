@@ -42,3 +42,13 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def compiled(function: F) -> F:
     """Compile a numeric function at its first call, and keep the machine code on disk."""
     return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+def inlined(function: F) -> F:
+    """Compile a small function into the body of each caller.
+
+    Note:
+        Only a loop without calls becomes SIMD code, and LLVM's own inlining stops at a size.
+    """
+    compiler = numba.njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+    return cast(F, compiler(function))

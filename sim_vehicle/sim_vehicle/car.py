@@ -7,7 +7,7 @@ import numpy as np
 from ampc_msgs_config.parameters import check_range
 from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, numbers
-from sim_vehicle.vehicle import SIZE, STEERING, V_X, Array, drive
+from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, Array, drive
 
 RANGES: dict[str, dict[str, Any]] = {
     "x": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
@@ -63,7 +63,7 @@ class Car:
         self.state: Array = np.zeros(SIZE)
         self.state[: V_X + 1] = x, y, yaw, speed
         self._waiting: Array = np.zeros(round(vehicle.steering.delay / step))
-        self._numbers, self._step = numbers(vehicle), step
+        self._numbers, self._step, self._work = numbers(vehicle), step, np.empty(WORK_SIZE)
         self._to_rear_axle = -vehicle.chassis.cg_to_rear_axle
         self._noise, self._rng = noise, rng
 
@@ -88,15 +88,19 @@ class Car:
         _check(steering=steering, target_speed=target_speed)
         _check(wind=float(wind.max()))
         _check(wind=float(wind.min()))
-        self.state = drive(
+        self.state = self.state.copy()  # who holds the old one keeps it
+        drive(
             self.state,
             self._waiting,
             steering,
             target_speed,
             wind,
+            0,
+            len(wind),
             self.friction,
             self._step,
             self._numbers,
+            self._work,
         )
 
     def measure(self, stamp_ns: int) -> VehicleState:
