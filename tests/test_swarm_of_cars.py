@@ -1,9 +1,11 @@
 """The plant as compiled code calls it: in place, on rows of matrices, without allocation."""
 
 import math
+import re
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
+import numba
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -14,6 +16,7 @@ from ampc_msgs_config.compiled import compiled
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, flat_numbers, load_vehicle, numbers, numbers_of
 from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, Array, drive
+from sim_vehicle.wheels import turn_wheels
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
@@ -103,3 +106,14 @@ def test_numbers_of_a_car_come_back_from_their_row(vehicle: Vehicle) -> None:
     assert numbers_of(row) == numbers(vehicle)
     row[:] = np.arange(len(row))
     assert [x for section in numbers_of(row) for x in section] == row.tolist()
+
+
+@pytest.mark.skipif(not isinstance(turn_wheels, Dispatcher), reason="nothing is compiled")
+def test_loop_over_the_wheels_becomes_simd_code() -> None:
+    compiler: Any = numba.njit(error_model="numpy")
+    loop = compiler(cast(Any, turn_wheels).py_func)
+    work, road, stage = np.ones(WORK_SIZE), (0.9, STEP), (0.0, 1.0)
+    loop(work, (14.0, 0.1, 0.1), (4e3, 4e3, 3e3, 3e3), (100.0, 0.0), road, stage)
+    (code,) = loop.inspect_llvm().values()
+    assert re.search(r"llvm\.sqrt\.v[248]f64", code)
+    assert not re.search(r"llvm\.sqrt\.f64", code)
