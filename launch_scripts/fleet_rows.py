@@ -14,8 +14,7 @@ from ampc_msgs_config.path_frame import PathFrame, path_frame
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, wind_of_drive
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.gain_table import Gains
-from ampc_ros.lateral_mpc import LateralMpc, scratch_numbers
+from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
 from ampc_ros.small_matrices import make_scratch
 from launch_scripts.fleet import (
@@ -25,6 +24,7 @@ from launch_scripts.fleet import (
     Array,
     Clockwork,
     Fleet,
+    Integers,
     Roads,
     drive_paper,
     drive_preview,
@@ -88,7 +88,7 @@ def prepare(entries: Sequence[Entry], lost: float = math.inf) -> Expedition:
     scenarios = list({id(entry.simulation.scenario): entry for entry in entries}.values())
     roads = lay_roads([e.simulation.scenario for e in scenarios], step_ns, period_ns, not preview)
     places = {id(entry.simulation.scenario): k for k, entry in enumerate(scenarios)}
-    road = np.array([places[id(entry.simulation.scenario)] for entry in entries])
+    road: Integers = np.array([places[id(entry.simulation.scenario)] for entry in entries])
     fleet = line_up(entries, road, period_ns, lost)
     size = max(len(entry.controller.scratch.numbers) for entry in entries)
     return Expedition(roads, fleet, period_ns, step_ns, size, preview)
@@ -99,9 +99,7 @@ def ticks_of(scenario: Scenario, period_ns: int) -> int:
     return -(-round(scenario.duration * NANOSECONDS) // period_ns)
 
 
-def lay_roads(
-    scenarios: Sequence[Scenario], step_ns: int, period_ns: int, framed: bool
-) -> Roads:
+def lay_roads(scenarios: Sequence[Scenario], step_ns: int, period_ns: int, framed: bool) -> Roads:
     """Put drives one after the other.
 
     Args:
@@ -131,13 +129,16 @@ def lay_roads(
     )
 
 
-def starts(lengths: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def starts(lengths: Sequence[int]) -> Integers:
     """Where each of several pieces begins, and where the last one ends."""
-    return np.concatenate(([0], np.cumsum(lengths)))
+    return np.append(0, np.cumsum(lengths)).astype(np.int64)
 
 
 def line_up(
-    entries: Sequence[Entry], road: np.ndarray[tuple[int], np.dtype[np.int64]], period_ns: int, lost: float
+    entries: Sequence[Entry],
+    road: Integers,
+    period_ns: int,
+    lost: float,
 ) -> Fleet:
     """Put cars and controllers into rows; the memory and the noise are drawn from them."""
     cars = [entry.simulation.car for entry in entries]

@@ -51,7 +51,7 @@ def entries(kind: str) -> list[Entry]:
     lagging = PAPER._replace(steering=replace(PAPER.steering, delay=0.13, lag=0.1))
     heavy = PAPER._replace(chassis=replace(PAPER.chassis, mass=1900.0))
     roads = {name: load_scenario(name, PAPER.size) for name in ("sc1", "sc2", "sc3_wind")}
-    short = [
+    short: list[tuple[Vehicle, Vehicle, Scenario, dict[str, Any], float]] = [
         (PAPER, PAPER, roads["sc1"], {}, 0.0),
         (PAPER, heavy, roads["sc2"], {"friction": 0.7}, 0.0),
         (PAPER, lagging, roads["sc1"], {}, math.radians(0.5)),

@@ -55,10 +55,9 @@ def in_place(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As `in_place`, merged into its caller: where a dozen arrays would cost more than the work."""
-    return cast(F, numba.njit(inline="always", **IN_PLACE)(function))
+    """As `in_place`, written into the body of each caller before that is compiled.
 
-
-def written_out(function: F) -> F:
-    """As `in_place`, for the few functions that give their caller an array."""
+    For functions that take a dozen arrays or give one, for loops that are to become SIMD code,
+    which must not call, and for the links of a chain, so that each is not optimised anew.
+    """
     return cast(F, numba.njit(inline="always", **IN_PLACE)(function))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import in_place, written_out
+from ampc_msgs_config.compiled import in_place, inlined
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def make_scratch(size: int) -> Scratch:
     return Scratch(np.zeros(size), np.zeros(1, np.int64))
 
 
-@written_out
+@inlined
 def vector(scratch: Scratch, n: int) -> Array:
     """Take n zeros."""
     start = scratch.used[0]
@@ -38,7 +38,7 @@ def vector(scratch: Scratch, n: int) -> Array:
     return zeros
 
 
-@written_out
+@inlined
 def matrix(scratch: Scratch, m: int, n: int) -> Array:
     """Take (m, n) zeros."""
     return vector(scratch, m * n).reshape(m, n)

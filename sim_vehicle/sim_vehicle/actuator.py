@@ -5,10 +5,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.compiled import in_place, inlined
 
 
-@compiled
+@inlined
 def command_in_force(
     waiting: NDArray[np.float64], command: float, steps_since_command: int
 ) -> float:
@@ -25,7 +25,7 @@ def command_in_force(
     return command
 
 
-@compiled
+@inlined
 def queue_up(waiting: NDArray[np.float64], command: float, steps: int) -> None:
     """Let `steps` integration steps with one command pass through the queue, in place."""
     delay = len(waiting)
@@ -33,18 +33,27 @@ def queue_up(waiting: NDArray[np.float64], command: float, steps: int) -> None:
         waiting[i] = waiting[i + steps] if i + steps < delay else command
 
 
-@compiled
-def turned(angle: float, command: float, step: float, steering: tuple[float, ...]) -> float:
-    """Give the road-wheel angle one step later [rad]; the lag is solved exactly.
+@in_place
+def approach(step: float, steering: tuple[float, ...]) -> float:
+    """Give the share of the way to its target that the lagging angle goes in one step, exactly."""
+    _, _, lag, _ = steering
+    return 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+
+
+@inlined
+def turned(
+    angle: float, command: float, share: float, step: float, steering: tuple[float, ...]
+) -> float:
+    """Give the road-wheel angle one step later [rad].
 
     Args:
         angle: Road-wheel angle now [rad].
         command: Angle asked for during the whole step [rad].
+        share: `approach` of the step.
         step: Duration [s].
         steering: `astuple` of SteeringParameters.
     """
-    delta_max, rate_max, lag, _ = steering
+    delta_max, rate_max, _, _ = steering
     target = min(max(command, -delta_max), delta_max)
-    approach = 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
-    turn = min(max(approach * (target - angle), -rate_max * step), rate_max * step)
+    turn = min(max(share * (target - angle), -rate_max * step), rate_max * step)
     return angle + turn

@@ -1,9 +1,9 @@
 """Forces of the air on the car."""
 
-from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.compiled import inlined
 
 
-@compiled
+@inlined
 def air_forces(
     velocity: tuple[float, float],
     heading: tuple[float, float],

@@ -1,13 +1,15 @@
 """One car that lives across control periods."""
 
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from ampc_msgs_config.parameters import check_range
-from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import VehicleState
+from sim_vehicle.measurement import Deviations, measured, noisy
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, numbers
-from sim_vehicle.vehicle import SIZE, STEERING, V_X, Array, drive
+from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, Array, drive
 
 RANGES: dict[str, dict[str, Any]] = {
     "x": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
@@ -62,10 +64,10 @@ class Car:
             raise ValueError("noise needs rng, a numpy Generator")
         self.state: Array = np.zeros(SIZE)
         self.state[: V_X + 1] = x, y, yaw, speed
-        self._waiting: Array = np.zeros(round(vehicle.steering.delay / step))
-        self._numbers, self._step = numbers(vehicle), step
+        self.waiting: Array = np.zeros(round(vehicle.steering.delay / step))
+        self._numbers, self._step, self._work = numbers(vehicle), step, np.empty(WORK_SIZE)
         self._to_rear_axle = -vehicle.chassis.cg_to_rear_axle
-        self._noise, self._rng = noise, rng
+        self.noise, self.rng = noise, rng
 
     @property
     def steering(self) -> float:
@@ -88,39 +90,27 @@ class Car:
         _check(steering=steering, target_speed=target_speed)
         _check(wind=float(wind.max()))
         _check(wind=float(wind.min()))
-        self.state = drive(
+        self.state = self.state.copy()  # who holds the old one keeps it
+        drive(
             self.state,
-            self._waiting,
+            self.waiting,
             steering,
             target_speed,
             wind,
+            0,
+            len(wind),
             self.friction,
             self._step,
             self._numbers,
+            self._work,
         )
 
     def measure(self, stamp_ns: int) -> VehicleState:
         """Give the motion at `base_link`, the centre of the rear axle, with noise if asked for."""
-        x, y, yaw, v_x, v_y, yaw_rate = (float(value) for value in self.state[:6])
-        centre = VehicleState(stamp_ns, x, y, wrap_angle(yaw), v_x, v_y, yaw_rate)
-        exact = at_distance(centre, self._to_rear_axle)
-        if self._noise is None or self._rng is None:
+        exact = measured(self.state, self._to_rear_axle, stamp_ns)
+        if self.noise is None or self.rng is None:
             return exact
-        return noisy(exact, self._noise, self._rng)
-
-
-def noisy(state: VehicleState, noise: MeasurementNoise, rng: np.random.Generator) -> VehicleState:
-    """Add white noise to a measurement."""
-    e = (float(value) for value in rng.standard_normal(6))
-    return VehicleState(
-        stamp_ns=state.stamp_ns,
-        x=state.x + noise.position * next(e),
-        y=state.y + noise.position * next(e),
-        yaw=wrap_angle(state.yaw + noise.heading * next(e)),
-        v_x=state.v_x + noise.speed * next(e),
-        v_y=state.v_y + noise.lateral_velocity * next(e),
-        yaw_rate=state.yaw_rate + noise.yaw_rate * next(e),
-    )
+        return noisy(exact, Deviations(*astuple(self.noise)), self.rng.standard_normal(6))
 
 
 def _check(**values: float) -> None:

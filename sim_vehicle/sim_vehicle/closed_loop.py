@@ -44,7 +44,7 @@ class Simulation:
         """
         speed = speed_at(scenario.speed, 0.0)
         self.car = Car(vehicle, scenario.start, speed, step=step_ns / NANOSECONDS, **options)
-        self.scenario, self.step_ns = scenario, step_ns
+        self.vehicle, self.scenario, self.step_ns = vehicle, scenario, step_ns
         self.elapsed_ns = 0
 
     @property

@@ -2,7 +2,7 @@
 
 import math
 
-from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.compiled import inlined
 from sim_vehicle.parameters import GRAVITY
 
 WALKING_SPEED = 1.0
@@ -17,14 +17,14 @@ FEELING_LAG = 0.2
 """Time constant with which the driver feels what cornering takes [s]."""
 
 
-@compiled
+@inlined
 def rolling_resistance(v_x: float, mass: float, powertrain: tuple[float, ...]) -> float:
     """Give the rolling resistance against the motion, smooth through 0 [N]."""
     _, _, _, _, _, f_r, _ = powertrain
     return f_r * mass * GRAVITY * v_x / math.sqrt(v_x**2 + ROLLING_SPEED**2)
 
 
-@compiled
+@inlined
 def pedals(
     v_x: float, target: float, resistance: float, mass: float, powertrain: tuple[float, ...]
 ) -> tuple[float, float]:
@@ -47,13 +47,13 @@ def pedals(
     return engine, min(max(against_motion, 0.0), F_brake)
 
 
-@compiled
+@inlined
 def longitudinal_demand(rolling: float, engine: float, brake: float) -> float:
     """Give the force that engine and brake ask of a wheel that rolls with this velocity [N]."""
-    return engine - brake * min(max(rolling / STANDSTILL, -1.0), 1.0)
+    return engine - brake * min(max(rolling * (1.0 / STANDSTILL), -1.0), 1.0)
 
 
-@compiled
+@inlined
 def stands(v_x: float, v_y: float, target: float) -> bool:
     """Tell whether the parking brake holds the car: it wants to stand, and it does."""
     return target < STANDSTILL and abs(v_x) < STANDSTILL and abs(v_y) < SIDEWAYS

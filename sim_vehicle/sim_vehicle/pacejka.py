@@ -8,7 +8,8 @@ A `tyre` is (magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0); magic is 0 for a l
 
 import math
 
-from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.compiled import inlined
+from sim_vehicle.elementary import arc_sine, arc_tangent, sine
 
 LEAST_LOAD_FACTOR = 0.1
 """Where the straight line of the load sensitivity ends; no wheel of a car gets there."""
@@ -20,31 +21,30 @@ LEAST_FORCE = 1.0e-9
 """Keeps the quotients of a lifted wheel finite [N]."""
 
 
-@compiled
+@inlined
 def load_factor(load: float, tyre: tuple[float, ...]) -> float:
     """Give the friction coefficient at this load over the one at static load."""
     _, _, _, k_D, _, _, _, _, F_z0 = tyre
     return max(1.0 - k_D * (load / F_z0 - 1.0), LEAST_LOAD_FACTOR)
 
 
-@compiled
+@inlined
 def peak_force(load: float, friction: float, tyre: tuple[float, ...]) -> float:
     """D = mu F_z (1 - k_D (F_z / F_z0 - 1)) [N]: what the tyre can transmit in any direction."""
     return friction * load * load_factor(load, tyre)
 
 
-@compiled
+@inlined
 def cornering_stiffness(load: float, tyre: tuple[float, ...]) -> float:
     """B C D [N/rad]: C_alpha at the static load, its largest value at p times the static load.
 
     The book's c_1 sin(2 atan(F_z / c_2)), written without trigonometry and with c_2 = p F_z0.
     """
     _, _, _, _, p, _, _, C_alpha, F_z0 = tyre
-    z = load / F_z0
-    return C_alpha * (1.0 + 1.0 / p**2) * z / (1.0 + (z / p) ** 2)
+    return C_alpha * (p**2 + 1.0) * F_z0 * load / ((p * F_z0) ** 2 + load**2)
 
 
-@compiled
+@inlined
 def lateral_force(slip: float, load: float, friction: float, tyre: tuple[float, ...]) -> float:
     """Give the lateral force of pure side slip [N].
 
@@ -56,13 +56,12 @@ def lateral_force(slip: float, load: float, friction: float, tyre: tuple[float, 
     """
     magic, C, E, _, _, _, _, C_alpha, _ = tyre
     D = peak_force(load, friction, tyre)
-    if magic == 0.0:
-        return min(max(C_alpha * slip, -D), D)
     x = cornering_stiffness(load, tyre) / (C * D + LEAST_FORCE) * slip  # B alpha
-    return D * math.sin(C * math.atan(x - E * (x - math.atan(x))))
+    curve = D * sine(C * arc_tangent(x - E * (x - arc_tangent(x))))
+    return min(max(C_alpha * slip, -D), D) if magic == 0.0 else curve
 
 
-@compiled
+@inlined
 def tyre_forces(
     slip: float, demand: float, load: float, friction: float, tyre: tuple[float, ...]
 ) -> tuple[float, float]:
@@ -77,11 +76,11 @@ def tyre_forces(
     """
     D = peak_force(load, friction, tyre)
     F_x = min(max(demand, -ANTI_LOCK * D), ANTI_LOCK * D)
-    left_over = math.sqrt(1.0 - (F_x / (D + LEAST_FORCE)) ** 2)
+    left_over = math.sqrt(abs(1.0 - (F_x / (D + LEAST_FORCE)) ** 2))
     return F_x, left_over * lateral_force(slip, load, friction, tyre)
 
 
-@compiled
+@inlined
 def transient_slip(
     s: float, rolling: float, sliding: float, step: float, tyre: tuple[float, ...]
 ) -> tuple[float, float]:
@@ -104,4 +103,4 @@ def transient_slip(
     speed = math.sqrt(rolling**2 + sliding**2)
     rate = -(sliding + speed * s) / max(sigma, 0.5 * step * speed)
     damping = T_d * max(1.0 - speed / PARKING_SPEED, 0.0) ** 2
-    return rate, math.asin(min(max(s, -1.0), 1.0)) + damping * rate
+    return rate, arc_sine(min(max(s, -1.0), 1.0)) + damping * rate

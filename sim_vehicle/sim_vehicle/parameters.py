@@ -5,7 +5,11 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import NamedTuple, get_type_hints
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ampc_msgs_config import config
+from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     Checked,
@@ -150,6 +154,37 @@ def numbers(vehicle: Vehicle) -> Numbers:
         air=astuple(vehicle.aerodynamics),
         powertrain=astuple(vehicle.powertrain),
     )
+
+
+def flat_numbers(vehicle: Vehicle) -> NDArray[np.float64]:
+    """Give the same as a row, section after section, so that a swarm of cars is a matrix."""
+    return np.array([number for section in numbers(vehicle) for number in section])
+
+
+@in_place
+def numbers_of(row: NDArray[np.float64]) -> Numbers:
+    """Give the numbers of a car from its row of `flat_numbers`."""
+    return Numbers(
+        chassis=(row[0], row[1], row[2], row[3], row[4], row[5]),
+        steering=_four(row, 6),
+        body=_four(row, 10),
+        front_tyre=_nine(row, 14),
+        rear_tyre=_nine(row, 23),
+        air=_four(row, 32),
+        powertrain=(row[36], row[37], row[38], row[39], row[40], row[41], row[42]),
+    )
+
+
+@inlined
+def _four(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
+    return row[i], row[i + 1], row[i + 2], row[i + 3]
+
+
+@inlined
+def _nine(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
+    a, b, c, d = _four(row, i)
+    e, f, g, h = _four(row, i + 4)
+    return a, b, c, d, e, f, g, h, row[i + 8]
 
 
 def _tyre(tyre: TyreParameters, stiffness: float, static_load: float) -> tuple[float, ...]:
