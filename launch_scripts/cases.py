@@ -12,7 +12,7 @@ import numpy as np
 from ampc_msgs_config.config import find
 from ampc_ros.preview import PreviewMpc
 from launch_scripts.stability import delay_margin, spectral_radius
-from launch_scripts.trials import DATA, QUANTITIES, Trial, controller, run
+from launch_scripts.trials import DATA, QUANTITIES, Trial, controller, run_all
 from sim_vehicle.parameters import load_vehicle
 
 BOTH, PREVIEW = ("preview", "paper"), ("preview",)
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 
 def worst(trials: Sequence[Trial], quantities: Sequence[str], name: str) -> Measured:
     """Drive all trials; give the largest of each quantity, and how many diverged."""
-    driven = [run(trial, name) for trial in trials]
+    driven = run_all(trials, name)
     measures = {key: QUANTITIES[key].measure for key in quantities}
     values = {key: [m(d) for d in driven] for key, m in measures.items() if m}
     return {key: float((np.sum if key == "diverged" else np.max)(v)) for key, v in values.items()}

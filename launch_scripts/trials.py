@@ -1,7 +1,7 @@
 """One trial: a car, a controller and what the controller does not know; and what is measured."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path as File
 from typing import Any, NamedTuple, cast
@@ -16,13 +16,14 @@ from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_file import SpeedLimits, from_csv
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
-from ampc_msgs_config.types import Command, VehicleState, at_distance
+from ampc_msgs_config.types import at_distance
 from ampc_ros.controller import DEFAULT_TABLES
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
+from launch_scripts.fleet_rows import Entry, drive_all
 from launch_scripts.independent_plant import Disturbance, IndependentSimulation, belief
-from sim_vehicle.closed_loop import Simulation, Steering, drive
+from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
 
 DATA = File(__file__).resolve().parents[2] / "shared" / "data"
@@ -78,20 +79,9 @@ class Driven(NamedTuple):
     """Cross-track error at each tick (n,) [m]."""
 
 
-class Misaligned:
-    """Steers like another controller, through a linkage that adds an angle."""
-
-    def __init__(self, inner: Steering, angle: float) -> None:
-        """Put a linkage behind `inner` that adds `angle` [rad]."""
-        self.inner, self.angle, self.period = inner, angle, inner.period
-
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer a state by the angle at the wheels."""
-        command = self.inner.step(state, path)
-        return command._replace(steering=command.steering + self.angle)
-
-
-def controller(name: str, chassis: ChassisParameters, steering: SteeringParameters) -> Steering:
+def controller(
+    name: str, chassis: ChassisParameters, steering: SteeringParameters
+) -> PreviewMpc | LateralMpc:
     """Make `preview` or `paper` with its shipped gains, for a car as it is believed to be."""
     settings = load(ControllerSettings, find("controllers", "table3"))
     table = load_gain_table(DEFAULT_TABLES[name])
@@ -101,16 +91,35 @@ def controller(name: str, chassis: ChassisParameters, steering: SteeringParamete
 
 
 def run(trial: Trial, name: str) -> Driven:
-    """Drive a trial with a controller.
+    """Drive a trial with a controller; see `run_all`."""
+    return run_all([trial], name)[0]
+
+
+def run_all(trials: Sequence[Trial], name: str) -> list[Driven]:
+    """Drive trials with a controller: as one fleet, or one by one on the independent plant.
 
     Raises:
-        ValueError: The controller cannot take this path.
+        ValueError: The controller cannot take a path.
     """
-    vehicle = believed_vehicle(trial)
-    scenario = scenario_of(trial, vehicle)
-    inner = controller(name, vehicle.chassis, vehicle.steering)
-    steering = Misaligned(inner, math.radians(trial.misaligned_deg))
-    finished = drive(plant(trial, vehicle, scenario), steering)
+    vehicles = [believed_vehicle(trial) for trial in trials]
+    scenarios = [scenario_of(*pair) for pair in zip(trials, vehicles, strict=True)]
+    entries = [
+        Entry(
+            plant(trial, vehicle, scenario),
+            controller(name, vehicle.chassis, vehicle.steering),
+            math.radians(trial.misaligned_deg),
+        )
+        for trial, vehicle, scenario in zip(trials, vehicles, scenarios, strict=True)
+    ]
+    if any(trial.car == "independent" for trial in trials):
+        drives = [drive(entry.simulation, entry.controller) for entry in entries]
+    else:
+        drives = drive_all(entries)
+    return [judged(*each) for each in zip(drives, scenarios, vehicles, strict=True)]
+
+
+def judged(finished: Drive, scenario: Scenario, vehicle: Vehicle) -> Driven:
+    """Give a drive with its errors."""
     path = make_path(scenario.points)
     error = errors(finished, path, vehicle.chassis.cg_to_rear_axle)[:, 0]
     return Driven(finished, path, scenario, vehicle, error)
