@@ -173,9 +173,7 @@ def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
 
 
 @in_place
-def worst_excess(
-    qp: Qp, x: Array, holds: Array, ceiling: float, last: int
-) -> tuple[float, int]:
+def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float, last: int) -> tuple[float, int]:
     """Largest violation and its row, of x (n,) and the rows that do not hold (m,).
 
     Only rows below a ceiling count, and those that reach it if they come after the last one.
