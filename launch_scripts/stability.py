@@ -14,8 +14,11 @@ from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
-from ampc_ros.preview import PreviewMpc
-from ampc_ros.preview_model import STATES, actuator_of, sampled_model
+from ampc_ros.belief import actuator_of
+from ampc_ros.model import STATES
+from ampc_ros.preview import BEFORE, EXPECTS, LAST_SPEED, PreviewMpc
+from ampc_ros.preview_model import SampledModel, sample
+from ampc_ros.small_matrices import make_scratch
 
 SIZE = 1e-6
 """Of the differences: small enough that no bound is active."""
@@ -36,42 +39,39 @@ def spectral_radius(
     T = controller.period
     actuator = actuator_of(steering, T)
     vehicle = tuple(vars(chassis).values())
-    A, B_old, B_new, _ = sampled_model(vehicle, v_x, T, actuator)
-    queue = actuator.ticks + 1
-    rest = memory_of(controller)
+    A, B_old, B_new, D = np.zeros((STATES, STATES)), *np.zeros((3, STATES))
+    sample(vehicle, v_x, T, actuator, SampledModel(A, B_old, B_new, D), make_scratch(400))
+    queue, rest = actuator.ticks + 1, len(controller.memory) - BEFORE
 
     def tick(z: Array) -> Array:
         x, sent, memory = np.split(z, [STATES, STATES + queue])
-        steered = copy.copy(controller)
-        recall(steered, memory, v_x, T)
+        steered = recalled(controller, memory, v_x)
         state = VehicleState(NANOSECONDS, 100.0, x[3], x[1], v_x, x[0], x[2])
-        u = steered.step(at_distance(state, -steered.to_cg), PATH).steering
+        u = steered.step(at_distance(state, -steered.belief.to_cg), PATH).steering
         inputs = np.append(sent, u)
         x = A @ x + B_old * inputs[0] + B_new * inputs[1]
-        return np.concatenate((x, inputs[1:], memory_of(steered)))
+        return np.concatenate((x, inputs[1:], steered.memory[BEFORE:]))
 
-    n = STATES + queue + len(rest)
+    n = STATES + queue + rest
     origin = tick(np.zeros(n))
     J = np.array([(tick(SIZE * row) - origin) / SIZE for row in np.eye(n)]).T
     return float(np.abs(np.linalg.eigvals(J)).max())
 
 
-def memory_of(controller: PreviewMpc) -> Array:
-    """What the controller carries from tick to tick."""
-    expected = np.zeros(STATES) if controller.expected is None else controller.expected
-    return np.concatenate((controller.sent, [controller.before], controller.disturbance, expected))
+def recalled(controller: PreviewMpc, memory: Array, v_x: float) -> PreviewMpc:
+    """Give a controller in the middle of a drive.
 
-
-def recall(controller: PreviewMpc, memory: Array, v_x: float, T: float) -> None:
-    """Put a controller into the middle of a drive with this memory."""
-    n = len(controller.sent)
-    controller.sent, controller.before = memory[:n].copy(), float(memory[n])
-    controller.disturbance = memory[n + 1 : n + 1 + STATES].copy()
-    controller.expected = memory[n + 1 + STATES :].copy()
-    controller.delta = float(controller.expected[4])
-    last_ns = NANOSECONDS - round(T * NANOSECONDS)
-    controller.last = VehicleState(last_ns, 100.0, 0.0, 0.0, v_x, 0.0, 0.0)
-    controller.path = None
+    Args:
+        controller: It is left as it is.
+        memory: What it carries from tick to tick: numbers BEFORE and on.
+        v_x: Speed, now as at the last tick [m/s].
+    """
+    steered = copy.copy(controller)
+    steered.memory, steered.path = controller.memory.copy(), None
+    steered.memory[LAST_SPEED], steered.memory[EXPECTS] = v_x, 1.0
+    steered.memory[BEFORE:] = memory
+    steered.last_ns = NANOSECONDS - round(controller.period * NANOSECONDS)
+    return steered
 
 
 def delay_margin(

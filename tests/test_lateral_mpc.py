@@ -18,9 +18,8 @@ from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import VehicleState, at_distance
 from ampc_ros.controller import CLASSIC_SPEED, CONTROLLERS, Choices, make_controller, warm_up
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
-from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.lateral_mpc import LateralMpc
-from ampc_ros.model import lateral_dynamics
+from ampc_ros.lateral_mpc import STEERING, LateralMpc
+from tests.filled import laguerre_sequence, lateral_dynamics
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
@@ -152,7 +151,7 @@ def test_standing_car_gets_finite_commands(gains: Gains, seed: int) -> None:
 
 def test_angle_is_held_and_reported_where_the_solver_did_not_finish() -> None:
     mpc = controller(load_gain_table("table3").nodes[0], solver="hildreth", hildreth_sweeps=1.0)
-    mpc.steering = 0.1
+    mpc.memory[STEERING] = 0.1
     command = mpc.step(state(0, left=8.0), ROAD)
     assert not command.diagnosis.converged
     assert (command.steering, command.steering_rate) == (0.1, 0.0)
@@ -184,14 +183,14 @@ def test_classic_controller_is_the_adaptive_one_with_its_model_at_one_speed() ->
     assert fixed.step(faster, ROAD).steering != adaptive.step(faster, ROAD).steering
     classic = make_controller(Choices("classic"))
     assert isinstance(classic, LateralMpc)
-    assert classic.nominal_speed == CLASSIC_SPEED
+    assert classic.belief.nominal_speed == CLASSIC_SPEED
 
 
 def test_new_path_keeps_the_angle_and_forgets_the_last_increment() -> None:
     mpc, fresh = controller(), controller()
     for tick in range(5):
         mpc.step(state(tick, left=0.1), ROAD)
-    fresh.steering = mpc.steering
+    fresh.memory[STEERING] = mpc.steering
     elsewhere = make_path([(0.0, -0.1), (200.0, -0.1)])
     expected = fresh.step(state(5, left=0.1), elsewhere).steering
     assert mpc.step(state(5, left=0.1), elsewhere).steering == expected

@@ -12,13 +12,8 @@ from scipy.linalg import expm
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.path import Array
-from ampc_ros.model import (
-    MIN_SPEED,
-    augment,
-    lateral_dynamics,
-    matrix_exponential,
-    zero_order_hold,
-)
+from ampc_ros.model import DELTA, MIN_SPEED, STATES
+from tests.filled import augment, exponential_integrals, lateral_dynamics, zero_order_hold
 
 PAPER = load(ChassisParameters, find("vehicles", "paper"), "chassis")
 ORDINARY = load(ChassisParameters, find("vehicles", "ordinary"), "chassis")
@@ -77,36 +72,63 @@ def test_model_below_one_metre_per_second_is_that_of_one_metre_per_second(
 
 @many
 @given(
-    n=st.integers(1, 7),
+    n=st.integers(1, 3),
     size=st.floats(1e-6, 30.0),
+    T=st.floats(1e-3, 1.0),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_matrix_exponential_is_that_of_scipy(n: int, size: float, seed: int) -> None:
-    A = size / n * np.random.default_rng(seed).standard_normal((n, n))
-    expected = expm(A)
-    error = np.abs(matrix_exponential(A) - expected).max()
-    assert error <= 1e-11 * np.abs(expected).max()
+def test_exponential_and_its_integrals_are_those_of_van_loan_s_block_matrix(
+    n: int, size: float, T: float, seed: int
+) -> None:
+    D = size / (n * T) * np.random.default_rng(seed).standard_normal((n, n))
+    block = np.zeros((4 * n, 4 * n))
+    block[:n, :n] = D
+    for k in range(3):  # the exponential's first row of blocks: e^(D T) and its integrals
+        block[k * n : (k + 1) * n, (k + 1) * n : (k + 2) * n] = np.eye(n)
+    expected = expm(block * T)[:n]
+    for k, Phi in enumerate(exponential_integrals(D, T)):
+        exact = expected[:, k * n : (k + 1) * n]
+        assert np.abs(Phi - exact).max() <= 1e-11 * np.abs(exact).max()
+
+
+def block_matrix(chassis: ChassisParameters, v_x: float, lag: float) -> Array:
+    """Give [[A, B], [0, 0]] (6, 6) of Eq. (7) with a steering that lags."""
+    block = np.zeros((STATES + 1, STATES + 1))
+    block[:4, :4], B_c = lateral_dynamics(astuple(chassis), v_x)
+    block[:4, DELTA if lag > 0.0 else STATES] = B_c
+    if lag > 0.0:
+        block[DELTA, DELTA], block[DELTA, STATES] = -1.0 / lag, 1.0 / lag
+    return block
 
 
 @both_cars
-@pytest.mark.parametrize("T", [0.001, 0.05, 0.1, 1.0])
-@pytest.mark.parametrize("v_x", [0.0, 1.0, 4.0, 9.0, 40.0])
+@pytest.mark.parametrize("T", [0.001, 0.01, 0.05, 0.1, 1.0])
+@pytest.mark.parametrize("lag", [0.0, 0.001, 0.01, 0.1, 1.0])
+@pytest.mark.parametrize("v_x", [0.0, 1.0, 1.7, 4.0, 9.0, 27.0, 40.0, 60.0])
 def test_zero_order_hold_is_the_exponential_of_the_block_matrix(
-    chassis: ChassisParameters, v_x: float, T: float
+    chassis: ChassisParameters, v_x: float, lag: float, T: float
 ) -> None:
-    A_c, B_c = lateral_dynamics(astuple(chassis), v_x)
-    block = np.zeros((5, 5))
-    block[:4, :4], block[:4, 4] = A_c, B_c
-    expected = expm(block * T)
-    A, B = zero_order_hold(A_c, B_c, T)
-    np.testing.assert_allclose(A, expected[:4, :4], rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(B, expected[:4, 4], rtol=1e-10, atol=1e-12)
+    n = STATES if lag else STATES - 1  # without a lag the angle is no state
+    expected = expm(block_matrix(chassis, v_x, lag) * T)
+    A, B = zero_order_hold(astuple(chassis), v_x, T, lag)
+    np.testing.assert_allclose(A[:n, :n], expected[:n, :n], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(B[:n], expected[:n, STATES], rtol=1e-10, atol=1e-12)
+
+
+@many
+@given(v_x=st.floats(0.0, 60.0), lag=st.floats(1e-3, 1.0), T=st.floats(1e-3, 1.0))
+def test_a_lag_is_exact_at_any_speed_and_step(v_x: float, lag: float, T: float) -> None:
+    expected = expm(block_matrix(ORDINARY, v_x, lag) * T)
+    A, B = zero_order_hold(astuple(ORDINARY), v_x, T, lag)
+    np.testing.assert_allclose(A, expected[:STATES, :STATES], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(B, expected[:STATES, STATES], rtol=1e-9, atol=1e-12)
 
 
 def test_forward_euler_would_be_unstable_below_4_6_metres_per_second() -> None:
     def largest_eigenvalue(v_x: float, exact: bool) -> float:
-        A_c, B_c = lateral_dynamics(astuple(PAPER), v_x)
-        A_k = zero_order_hold(A_c, B_c, 0.1)[0] if exact else np.eye(4) + 0.1 * A_c
+        A_c, _ = lateral_dynamics(astuple(PAPER), v_x)
+        held, _ = zero_order_hold(astuple(PAPER), v_x, 0.1)
+        A_k = held if exact else np.eye(4) + 0.1 * A_c
         lateral = A_k[np.ix_([0, 2], [0, 2])]  # yaw and Y integrate in any case
         return float(np.abs(np.linalg.eigvals(lateral)).max())
 
@@ -116,9 +138,10 @@ def test_forward_euler_would_be_unstable_below_4_6_metres_per_second() -> None:
 
 @both_cars
 def test_augmented_model_is_the_printed_block_matrix(chassis: ChassisParameters) -> None:
-    A_k, B = zero_order_hold(*lateral_dynamics(astuple(chassis), 9.0), 0.1)
+    held = zero_order_hold(astuple(chassis), 9.0, 0.1)
+    A_k, B = held[0][:4, :4], held[1][:4]
     C = np.array([[0.0, 0.0, 0.0, 1.0]])
-    A_augmented, B_augmented = augment(A_k, B)
+    A_augmented, B_augmented = augment(*held)
     np.testing.assert_array_equal(A_augmented, np.block([[A_k, np.zeros((4, 1))], [C @ A_k, 1.0]]))
     np.testing.assert_array_equal(B_augmented, np.concatenate((B, C @ B)))
 
@@ -127,8 +150,9 @@ def test_augmented_model_is_the_printed_block_matrix(chassis: ChassisParameters)
 @given(v_x=st.floats(0.0, 40.0), seed=st.integers(0, 2**32 - 1))
 def test_augmented_model_follows_the_plain_one_for_any_steering(v_x: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    A, B = zero_order_hold(*lateral_dynamics(astuple(PAPER), v_x), 0.1)
-    A_augmented, B_augmented = augment(A, B)
+    held = zero_order_hold(astuple(PAPER), v_x, 0.1)
+    A, B = held[0][:4, :4], held[1][:4]
+    A_augmented, B_augmented = augment(*held)
     u_before, x_before = rng.normal(0, 0.1), rng.normal(0, 1, 4)
     x = A @ x_before + B * u_before
     augmented = np.append(x - x_before, x[3])

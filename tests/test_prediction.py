@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.path import Array
-from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.model import augment, lateral_dynamics, zero_order_hold
-from ampc_ros.prediction import predict, quadratic_cost
+from tests.filled import augment, laguerre_sequence, predict, quadratic_cost, zero_order_hold
 
 CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
 C = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
@@ -22,7 +20,7 @@ many = settings(max_examples=50, deadline=None, derandomize=True)
 
 def augmented_model(v_x: float) -> tuple[Array, Array]:
     """Give the model of Eq. (9) at a speed, for T = 0.1 s."""
-    return augment(*zero_order_hold(*lateral_dynamics(CHASSIS, v_x), 0.1))
+    return augment(*zero_order_hold(CHASSIS, v_x, 0.1))
 
 
 def printed_prediction(A: Array, B: Array, N_p: int, N_c: int) -> tuple[Array, Array]:
@@ -49,20 +47,22 @@ def test_prediction_is_what_the_augmented_model_does_step_by_step(
     A, B = augmented_model(v_x)
     L = laguerre_sequence(alpha, N, N_c)
     x_0, eta = rng.normal(0, 1, 5), rng.normal(0, 0.1, N)
-    F, Phi = predict(A, B, L, N_p)
+    free, Phi = predict(A, B, L, x_0, N_p)
     x, outputs = x_0, []
     for i in range(N_p):
         Delta_u = L[i] @ eta if i < N_c else 0.0
         x = A @ x + B * Delta_u
         outputs.append(C @ x)
-    np.testing.assert_allclose(F @ x_0 + Phi @ eta, outputs, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(free + Phi @ eta, outputs, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize(("N_p", "N_c"), [(45, 15), (10, 10), (3, 1)])
 @pytest.mark.parametrize("v_x", [1.0, 9.0, 27.0])
 def test_pole_zero_gives_the_classic_prediction_as_printed(v_x: float, N_p: int, N_c: int) -> None:
     A, B = augmented_model(v_x)
-    F, Phi = predict(A, B, laguerre_sequence(0.0, N_c, N_c), N_p)
+    L = laguerre_sequence(0.0, N_c, N_c)
+    F = np.column_stack([predict(A, B, L, unit, N_p)[0] for unit in np.eye(5)])
+    _, Phi = predict(A, B, L, np.zeros(5), N_p)
     F_printed, Phi_printed = printed_prediction(A, B, N_p, N_c)
     np.testing.assert_allclose(F, F_printed, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(Phi, Phi_printed, rtol=1e-10, atol=1e-12)
@@ -77,8 +77,8 @@ def test_pole_zero_gives_the_moves_of_the_classic_controller(v_x: float) -> None
     R_s = np.full(N_p, 3.5)
     classic = np.linalg.solve(Phi.T @ Phi * Q + R * np.eye(N_c), Phi.T @ (R_s - F @ x) * Q)
     L = laguerre_sequence(0.0, N_c, N_c)
-    F_own, Phi_own = predict(A, B, L, N_p)
-    E, K = quadratic_cost(Phi_own, R_s - F_own @ x, L, Q, R)
+    free, Phi_own = predict(A, B, L, x, N_p)
+    E, K = quadratic_cost(Phi_own, R_s - free, L, Q, R)
     np.testing.assert_allclose(L @ np.linalg.solve(E, -K), classic, rtol=1e-8, atol=1e-9)
 
 
@@ -95,7 +95,7 @@ def test_quadratic_form_is_the_cost_of_errors_and_increments_up_to_a_constant(
 ) -> None:
     rng = np.random.default_rng(seed)
     L = laguerre_sequence(alpha, N, 15)
-    _, Phi = predict(*augmented_model(9.0), L, 45)
+    _, Phi = predict(*augmented_model(9.0), L, np.zeros(5), 45)
     error, eta = rng.normal(0, 1, 45), rng.normal(0, 0.1, N)
     E, K = quadratic_cost(Phi, error, L, Q, R)
 
@@ -111,7 +111,7 @@ def test_quadratic_form_is_the_cost_of_errors_and_increments_up_to_a_constant(
 @given(scale=st.floats(1e-6, 1e6))
 def test_only_the_ratio_of_the_weights_matters(scale: float) -> None:
     L = laguerre_sequence(0.75, 5, 15)
-    _, Phi = predict(*augmented_model(9.0), L, 45)
+    _, Phi = predict(*augmented_model(9.0), L, np.zeros(5), 45)
     error = np.linspace(1.0, 3.0, 45, dtype=np.float64)
     E, K = quadratic_cost(Phi, error, L, 10.0, 0.01)
     E_scaled, K_scaled = quadratic_cost(Phi, error, L, 10.0 * scale, 0.01 * scale)

@@ -73,7 +73,7 @@ class NearestPoint(NamedTuple):
     scale: float
     """Its length: the size of the numbers in the problem."""
     status: int
-    """SOLVED; NOT_CONVEX; UNFINISHED if the numbers are not finite."""
+    """SOLVED; NOT_CONVEX; INFEASIBLE if low > high; UNFINISHED if numbers are not finite."""
 
 
 class ActiveRows(NamedTuple):
@@ -133,7 +133,11 @@ def nearest_point(qp: Qp, scratch: Scratch) -> NearestPoint:
     for j in range(n):
         start[j] = -start[j]
     scale = math.sqrt(dot(start, start))
-    return NearestPoint(C, start, scale, SOLVED if scale < math.inf else UNFINISHED)
+    status = SOLVED if scale < math.inf else UNFINISHED
+    for i in range(len(qp.low)):
+        if qp.low[i] > qp.high[i]:
+            status = INFEASIBLE
+    return NearestPoint(C, start, scale, status)
 
 
 @in_place
@@ -169,13 +173,17 @@ def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
 
 
 @in_place
-def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float) -> tuple[float, int]:
-    """Largest violation below a ceiling, and its row: x (n,) against all that do not hold (m,)."""
+def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float, last: int) -> tuple[float, int]:
+    """Largest violation and its row, of x (n,) and the rows that do not hold (m,).
+
+    Only rows below a ceiling count, and those that reach it if they come after the last one.
+    """
     worst, row = 0.0, -1
     for i in range(len(qp.low)):
         value = dot(qp.M[i], x)
         excess = max(value - qp.high[i], qp.low[i] - value)
-        if worst < excess < ceiling and holds[i] == 0.0:
+        next_one = excess < ceiling or (excess == ceiling and i > last)
+        if excess > worst and next_one and holds[i] == 0.0:
             worst, row = excess, i
     return worst, row
 
@@ -183,10 +191,10 @@ def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float) -> tuple[float,
 @inlined
 def pick_up(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array) -> bool:
     """Put the row that x (n,) violates most into the place of the one to enter, if there is one."""
-    k, excess = int(active.size[0]), math.inf
+    k, excess, i = int(active.size[0]), math.inf, -1
     unit = active.rows[k]
     while True:
-        excess, i = worst_excess(qp, x, active.holds, excess)
+        excess, i = worst_excess(qp, x, active.holds, excess, i)
         if i < 0:
             return False
         side = 1.0 if dot(qp.M[i], x) > qp.high[i] else -1.0
