@@ -96,9 +96,9 @@ def measure(rate: int, seconds: float, busy: int) -> NodeRow:
             nodes.start("car", "launch_scripts.bench_car_node", asked)
             wait_for(nodes, seconds + START_TIME_OUT)
         measured = json.loads(result.read_text(encoding="utf-8"))
-    spreads = {key: Spread(*measured.pop(key)) for key in ("lateness", "latency", "tick")}
-    share = spreads["tick"].p99 * rate / 1000.0
-    return NodeRow(rate=rate, busy=busy, share=share, **spreads, **measured)
+    measured |= {key: Spread(*measured[key]) for key in ("lateness", "latency", "tick")}
+    share = measured["tick"].p99 * rate / 1000.0
+    return NodeRow(rate=rate, busy=busy, share=share, **measured)
 
 
 def wait_for(nodes: Processes, patience: float) -> None:

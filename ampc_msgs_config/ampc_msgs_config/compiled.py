@@ -126,7 +126,7 @@ def written_out(function: F) -> F:
     return cast(F, numba.njit(inline="always", **IN_PLACE)(function))
 
 
-class Announcer(event.Listener):  # type: ignore[misc]
+class Announcer(event.Listener):
     """Says that something has to be compiled as soon as it is known."""
 
     def __init__(self, what: str, say: Callable[[str], object]) -> None:
