@@ -20,13 +20,14 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from ampc_ros.controller import Choices
 from launch_scripts.environment import ros_environment
 from launch_scripts.processes import Processes
 
 CHOICES = {
-    10: {"settings": "table3", "gain_table": "preview"},
-    50: {"settings": "50hz", "gain_table": "preview_50hz"},
-    100: {"settings": "100hz", "gain_table": "preview_100hz"},
+    10: Choices(settings="table3", gain_table="preview"),
+    50: Choices(settings="50hz", gain_table="preview_50hz"),
+    100: Choices(settings="100hz", gain_table="preview_100hz"),
 }
 """Settings and gains by rate [Hz]."""
 START_TIME_OUT = 180.0
@@ -90,7 +91,8 @@ def measure(rate: int, seconds: float, busy: int) -> NodeRow:
     with tempfile.TemporaryDirectory() as folder, busy_cores(busy):
         logs, result = Path(folder), Path(folder) / "row.json"
         with Processes(logs) as nodes:
-            nodes.start("controller", "ampc_ros.controller_node", CHOICES[rate])
+            chosen = {key: getattr(CHOICES[rate], key) for key in ("settings", "gain_table")}
+            nodes.start("controller", "ampc_ros.controller_node", chosen)
             controller = nodes.running["controller"].pid
             asked = {"rate": rate, "seconds": seconds, "pid": controller, "result": str(result)}
             nodes.start("car", "launch_scripts.bench_car_node", asked)

@@ -14,6 +14,7 @@ from ampc_msgs_config.compiled import (
     KEPT,
     announced,
     cache_folder,
+    compiled,
     private_temporary_folder,
     source_hash,
     use,
@@ -129,11 +130,11 @@ def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: 
 def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is_not() -> None:
     said: list[str] = []
 
-    @numba.njit
+    @compiled
     def inner(x: float) -> float:
         return x + 1.0
 
-    @numba.njit
+    @compiled
     def outer(x: float) -> float:
         return inner(x) * 2.0
 

@@ -9,7 +9,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import evaluate
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.controller import make_controller
 from ampc_ros.preview import PreviewMpc
 from launch_scripts.bench_node import CHOICES
 from launch_scripts.stability import delay_margin, spectral_radius
@@ -23,7 +23,7 @@ every_car = pytest.mark.parametrize("car", ["paper", "ordinary"])
 
 def controller_at(rate: int, car: str) -> PreviewMpc:
     """Make the controller of a rate [Hz] for a car."""
-    controller = make_controller(Choices(vehicle=car, **CHOICES[rate]))
+    controller = make_controller(CHOICES[rate]._replace(vehicle=car))
     assert isinstance(controller, PreviewMpc)
     assert controller.period == 1.0 / rate
     return controller
