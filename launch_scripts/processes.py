@@ -75,9 +75,12 @@ class Processes:
 
     def last_words(self, name: str) -> str:
         """Give the last line of a node's log, without the time."""
+        return (self.words(name) or ["no output"])[-1]
+
+    def words(self, name: str) -> list[str]:
+        """Give the lines of a node's log that say something, without the time."""
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").split("\n")
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "no output")
-        return LOG_PREFIX.sub("", last)
+        return [LOG_PREFIX.sub("", line.strip()) for line in lines if line.strip()]
 
 
 def end(processes: list[subprocess.Popen[bytes]]) -> None:

@@ -152,15 +152,26 @@ def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
     from launch_scripts.drive_watch import DriveWatch  # needs the environment that main() set
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
-    starting = "starting (an update compiles once, up to a minute)"
+    told: set[str] = set()
     with DriveWatch() as watch, Progress(*columns, TimeElapsedColumn(), console=console) as bar:
-        task = bar.add_task(scenario.name, total=scenario.duration, at=starting)
+        task = bar.add_task(scenario.name, total=scenario.duration, at="starting")
         while not is_over(nodes):
             watch.look(0.1)
-            if watch.has_begun:
+            if not watch.has_begun:
+                tell_what_compiles(nodes, console, told)
+            else:
                 at = f"{watch.elapsed:.1f} of {scenario.duration:.1f} s, {watch.speed:.1f} m/s"
                 bar.update(task, completed=watch.elapsed, at=at)
         bar.update(task, completed=scenario.duration, at=f"{scenario.duration:.1f} s driven")
+
+
+def tell_what_compiles(nodes: Processes, console: Console, told: set[str]) -> None:
+    """Print what the nodes say about compiling, each line once."""
+    for name in nodes.running:
+        for line in nodes.words(name):
+            if line.startswith(("compiling", "compiled")) and line not in told:
+                told.add(line)
+                console.print(line, markup=False)
 
 
 def is_over(nodes: Processes) -> bool:

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import spin
@@ -198,6 +199,47 @@ def test_the_controller_steers_on_its_timer_and_stamps_its_command_with_the_stat
     stamps = [command.stamp_ns for command in world.commands]
     assert stamps == sorted(set(stamps))
     assert set(stamps) <= set(sent)
+
+
+def test_a_state_that_comes_after_its_tick_is_answered_at_once_and_none_is_missed() -> None:
+    with ros_context(controller="pure_pursuit") as executor:
+        node = ControllerNode()
+        add(executor, node)
+        node.on_path(path())
+        node.on_odometry(odometry(TICK_NS))
+        assert not node.is_answered()
+        node.on_timer()
+        for tick in range(2, 7):
+            node.on_timer()
+            node.on_odometry(odometry(tick * TICK_NS))
+            assert node.is_answered()
+        assert (node.commands_given, node.ticks.missed, node.trouble) == (6, 0, "")
+        for _ in range(3):
+            node.on_timer()
+        assert node.ticks.missed == 2
+        assert node.trouble == "no new odom since the last tick"
+
+
+def test_debug_topics_are_published_where_somebody_listens() -> None:
+    with ros_context(controller="pure_pursuit") as executor:
+        node = ControllerNode()
+        world = World(executor, node)
+        heard: list[float] = []
+        topic = "controller/debug/cross_track_error"
+
+        def on_error(message: Any) -> None:
+            heard.append(message.data)
+
+        world.create_subscription(Float64, topic, on_error, ros.RELIABLE)
+        world.spin_until(lambda: world.count_publishers(topic) > 0)
+        world.spin_until(lambda: any(each.get_subscription_count() for each in node.debug))
+        node.on_path(path())
+        node.on_odometry(odometry(TICK_NS, y=0.25, yaw=0.0))
+        node.on_timer()
+        world.spin_until(lambda: bool(heard))
+        listening = [each.topic_name for each in node.debug if each.get_subscription_count()]
+    assert heard == [pytest.approx(0.25)]
+    assert listening == [f"/{topic}"]
 
 
 def test_the_timer_follows_simulated_time_and_time_going_backwards_starts_anew() -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from rich.console import Console
 
 from ampc_msgs_config.bag import is_complete, read
 from ampc_msgs_config.config import find
@@ -230,3 +231,17 @@ def test_an_unknown_controller_is_answered_with_the_known_ones(
     assert "invalid choice: 'magic'" in said
     assert "preview" in said
     assert "pure_pursuit" in said
+
+
+def test_what_a_node_says_about_compiling_is_shown_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "[INFO] [1795466263.678345902] [controller]: compiling the controller (once ...) ...\n"
+    with Processes(tmp_path) as nodes:
+        nodes.start("controller", "this_module_is_not_there", {})
+        nodes.running["controller"].wait()
+        nodes.log("controller").write_text("[INFO] [1.0] [x]: ready\n" + said, encoding="utf-8")
+        told: set[str] = set()
+        for _ in range(3):
+            start.tell_what_compiles(nodes, Console(), told)
+    assert capsys.readouterr().out == "compiling the controller (once ...) ...\n"

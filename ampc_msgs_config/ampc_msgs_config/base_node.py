@@ -14,12 +14,14 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.compiled import announced
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path_file import Route, choose_scenario
@@ -171,7 +173,7 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
         signal.signal(number, on_signal)
     try:
         _init()
-        return _spin(make_node(), signals)
+        return _spin(_made(make_node), signals)
     except KeyboardInterrupt:
         return 0
     except (ValueError, ParameterException) as error:
@@ -186,6 +188,13 @@ def _init() -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise ValueError(error) from error
+
+
+def _made(make_node: Callable[[], BaseNode]) -> BaseNode:
+    """Make a node, and say so where it has to compile: the class `PlannerNode` is the planner."""
+    name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
+    with announced(name, get_logger(name).info):
+        return make_node()
 
 
 def _spin(node: BaseNode, signals: list[int]) -> int:

@@ -29,7 +29,7 @@ PREDICTED_PATH = "predicted_path"
 WIND = "wind"
 CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"
-DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time")
+DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
 """Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
 
 MAP = "map"

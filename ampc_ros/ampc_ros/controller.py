@@ -1,5 +1,7 @@
 """Controllers by name, behind one `step()`."""
 
+import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -7,7 +9,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import Command, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
@@ -22,6 +24,21 @@ CONTROLLERS = {
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
 CLASSIC_SPEED = 9.0
 """Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
+
+STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
+CIRCLE = [(30.0 * math.sin(0.1 * i), 30.0 - 30.0 * math.cos(0.1 * i)) for i in range(63)]
+REHEARSAL = (
+    (0.0, 0.1, 0.0, 9.0, 0.0, 0.0),
+    (1.0, 0.1, 0.0, 9.0, 0.1, 0.01),
+    (2.0, -6.0, 0.3, 35.0, -0.5, -0.2),
+    (3.0, 6.0, -0.3, 2.0, 0.5, 0.2),
+    (60.0, 0.1, 0.0, 9.0, 0.0, 0.0),
+    (0.0, 500.0, 0.0, 9.0, 0.0, 0.0),
+    (0.0, 0.1, math.pi, 9.0, 0.0, 0.0),
+    (0.0, 0.1, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.1, 0.0, -1.0, 0.0, 0.0),
+)
+"""States to warm up with: x, y, yaw, v_x, v_y, yaw rate."""
 
 
 class Controller(Protocol):
@@ -80,7 +97,19 @@ def make_controller(choices: Choices) -> Controller:
 
 
 def warm_up(controller: Controller) -> None:
-    """Compile all that a step needs, so that nothing is compiled in the first tick."""
-    path = make_path([(0.0, 0.0), (50.0, 0.0)])
-    controller.step(VehicleState(0, 0.0, 0.1, 0.0, 9.0, 0.0, 0.0), path)
+    """Go through all that a step can meet, so that nothing is compiled or loaded in a tick.
+
+    What numba compiles follows from the types of the arguments, which every branch here has; the
+    values decide the way through the rest: which bounds are active, whether the path is closed, at
+    its end, or lost, whether the car stands, drives backwards or the wrong way.
+    """
+    for path in (make_path(STRAIGHT), make_path(CIRCLE)):
+        controller.reset()
+        for tick in range(2 * len(REHEARSAL)):
+            stamp_ns = round(tick * controller.period * NANOSECONDS)
+            state = VehicleState(stamp_ns, *REHEARSAL[tick % len(REHEARSAL)])
+            with suppress(ValueError):  # the paper's formulation refuses to drive away from the end
+                controller.step(state, path)
+            if isinstance(controller, PreviewMpc):
+                controller.observe_steering(controller.steering)
     controller.reset()

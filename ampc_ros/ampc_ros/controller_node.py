@@ -5,6 +5,7 @@ import time
 
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.event_handler import PublisherEventCallbacks
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
@@ -12,9 +13,14 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, spin
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import MODES, STANDSTILL, Command, VehicleState
+from ampc_msgs_config.types import MODES, NANOSECONDS, STANDSTILL, Command, VehicleState
 from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
 from ampc_ros.preview import PreviewMpc
+from ampc_ros.ticks import Ticks
+
+NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+"""The executor looks at each event of each publisher at every turn, which for two dozen debug
+topics costs more than the tick."""
 
 
 class ControllerNode(BaseNode):
@@ -29,11 +35,14 @@ class ControllerNode(BaseNode):
         self.path: Path | None = None
         self.answer: JointState | None = None
         self.no_path = "waiting for reference_path"
-        self.commands_given = self.missed_ticks = 0
-        self.debug = {
-            name: self.create_publisher(Float64, f"~/debug/{name}", ros.RELIABLE)
+        self.commands_given = 0
+        self.ticks = Ticks(self.controller.period)
+        self.debug = [
+            self.create_publisher(
+                Float64, f"~/debug/{name}", ros.RELIABLE, event_callbacks=NO_EVENTS
+            )
             for name in ros.DEBUG_QUANTITIES
-        }
+        ]
         qos = ros.RELIABLE if self.lock_step else ros.COMMAND  # a fast drive is recorded whole
         self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, qos)
         self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
@@ -42,7 +51,7 @@ class ControllerNode(BaseNode):
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:
             self.create_subscription(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
-            self.create_timer(self.controller.period, self.on_timer)
+            self.timer = self.create_timer(self.controller.period, self.on_timer)
         self.create_timer(1.0, self.on_diagnostics)
         self.get_logger().info("ready")
 
@@ -78,10 +87,13 @@ class ControllerNode(BaseNode):
         if self.state is not None and state.stamp_ns < self.state.stamp_ns:
             self.get_logger().warning("time went backwards: controller reset")
             self.controller.reset()
+            self.ticks.restart()
             self.answer = None
         self.state = state
         if self.lock_step:
             self.answer_state()
+        elif self.ticks.owed:
+            self.step()
 
     def on_steering(self, message: JointState) -> None:
         """Tell a controller that has an actuator in its model where the steering really is.
@@ -104,12 +116,14 @@ class ControllerNode(BaseNode):
             self.step()
 
     def on_timer(self) -> None:
-        """Answer the newest state, once."""
-        if self.is_answered():
-            self.missed_ticks += 1
-            self.trouble = "no new odom since the last tick"
-        else:
+        """Answer the newest state, once; where there is none, the next one is answered at once."""
+        left_out = self.ticks.begin(self.now_ns, self.timer.time_until_next_call())
+        if left_out and self.answer is not None:
+            self.trouble = f"the timer was late: {left_out} ticks left out"
+        if not self.is_answered():
             self.step()
+        elif self.ticks.owe():
+            self.trouble = "no new odom since the last tick"
 
     def is_answered(self) -> bool:
         """Tell whether the newest state has its command."""
@@ -121,6 +135,7 @@ class ControllerNode(BaseNode):
         """Give the newest state its command, if there is a path for it."""
         if self.state is None or self.path is None or self.unrecorded():
             return
+        self.ticks.owed = False
         start = time.perf_counter()
         try:
             command = self.controller.step(self.state, self.path)
@@ -137,8 +152,11 @@ class ControllerNode(BaseNode):
         self.answer = ros.steering_message(command)
         self.commands.publish(self.answer)
         self.commands_given += 1
-        for name, value in (*command.diagnosis._asdict().items(), ("solve_time", solve_time)):
-            self.debug[name].publish(Float64(data=float(value)))
+        lateness = self.ticks.lateness_ns / NANOSECONDS
+        values = (*command.diagnosis, solve_time, lateness)
+        for publisher, value in zip(self.debug, values, strict=True):
+            if publisher.get_subscription_count():
+                publisher.publish(Float64(data=float(value)))
         if command.prediction is not None and self.predictions.get_subscription_count():
             message = ros.path_message(command.prediction, command.stamp_ns)
             self.predictions.publish(message)
@@ -154,7 +172,7 @@ class ControllerNode(BaseNode):
         waiting = "waiting for odom" if self.state is None else ""
         if self.path is None:
             waiting = self.no_path
-        values = {"commands": self.commands_given, "missed_ticks": self.missed_ticks}
+        values = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
         self.report(self.now_ns, waiting, values)
 
 
