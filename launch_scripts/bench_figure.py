@@ -5,6 +5,7 @@ from pathlib import Path as File
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from launch_scripts.bench_growth import AXES, HELD, SERIES, exponents
 from launch_scripts.bench_report import Section
@@ -29,7 +30,11 @@ def draw_growth(sections: Sequence[Section], file: File) -> None:
         ax.set_xticks(sizes, [str(size) for size in sizes])
         ax.minorticks_off()
         ax.set_xlabel(f"{axis}\n({HELD[axis]})")
-        ax.grid(alpha=0.3, which="both")
-        ax.legend(loc="upper left")
         ax.set_ylabel("median time [us]")
+        ax.grid(alpha=0.3)
+        ax.legend(loc="upper left")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.margins(y=0.3)
+        ax.label_outer()
     figure.savefig(file)
