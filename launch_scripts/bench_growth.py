@@ -8,7 +8,7 @@ import numpy as np
 
 from ampc_ros.gain_table import Gains
 from ampc_ros.lateral_mpc import Tick
-from launch_scripts.bench_ours import GAINS, Task, posed, prepared, qp_alone, whole_tick
+from launch_scripts.bench_ours import GAINS, Task, posed, qp_alone, whole_tick
 from launch_scripts.bench_problems import perturbed, recorded_ticks
 from launch_scripts.bench_qp import with_daqp
 from launch_scripts.bench_report import Row, Section
@@ -69,10 +69,10 @@ def calls_of(gains: Gains, ticks: Iterable[Tick]) -> dict[str, list[Call]]:
     """Give what is timed at a size."""
     tasks = [Task(gains, math.inf, tick) for tick in ticks]
     problems = [posed(task) for task in tasks]
-    tick, qp, daqp = SERIES
+    answer, (tick, qp, daqp) = whole_tick(gains), SERIES
     return {
-        tick: [partial(whole_tick, task) for task in tasks],
-        qp: [partial(qp_alone, prepared(problem)) for problem in problems],
+        tick: [partial(answer, task.tick) for task in tasks],
+        qp: [qp_alone(problem) for problem in problems],
         daqp: [with_daqp(problem) for problem in problems],
     }
 

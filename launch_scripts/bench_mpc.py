@@ -13,14 +13,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from ampc_msgs_config.path import Array
-from ampc_ros.constraints import running_sum
-from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import Tick
 from ampc_ros.model import lateral_dynamics
-from launch_scripts.bench_ours import GAINS, VEHICLE, limits
+from launch_scripts.bench_ours import GAINS, VEHICLE, laguerre, limits
 
 Answer = Callable[[Tick], float | None]
-N_P, N_C, N, ALPHA, Q, R = GAINS
+N_P, N_C, N, _, Q, R = GAINS
 LIMITS = limits()
 SQUARINGS = 6
 """Of the symbolic matrix exponential: enough for 1 m/s and more."""
@@ -28,8 +26,8 @@ SQUARINGS = 6
 
 def augmented_model(v_x: float) -> tuple[Array, Array]:
     """A~ (5, 5) and B~ (5,) of Eq. (9) with NumPy and SciPy."""
-    A_c, B_c = lateral_dynamics(VEHICLE, v_x)
-    block = np.zeros((5, 5))
+    A_c, B_c, block = np.zeros((4, 4)), np.zeros(4), np.zeros((5, 5))
+    lateral_dynamics(VEHICLE, v_x, A_c, B_c)
     block[:4, :4], block[:4, 4] = A_c, B_c
     Phi = expm(LIMITS.T * block)
     A, B = np.zeros((5, 5)), np.empty(5)
@@ -40,8 +38,8 @@ def augmented_model(v_x: float) -> tuple[Array, Array]:
 
 def numpy_daqp() -> Answer:
     """Prediction with NumPy, then DAQP."""
-    L = laguerre_sequence(ALPHA, N, N_C)
-    rows = np.vstack((L, running_sum(L)))
+    L = laguerre(GAINS)
+    rows = np.vstack((L, np.cumsum(L, axis=0)))
     weight = 2 * R * L.T @ L
     later = np.arange(N_P)[:, None] - np.arange(N_C)
     before = later < 0
@@ -79,7 +77,7 @@ def casadi_qp(plugin: str, options: dict[str, Any]) -> Answer:
     eta, p = ca.SX.sym("eta", N), ca.SX.sym("p", 8)
     v_x, x, r = ca.fmax(p[0], 1.0), p[1:6], p[7]
     A, B = symbolic_model(v_x)
-    L = laguerre_sequence(ALPHA, N, N_C)
+    L = laguerre(GAINS)
     moves = ca.DM(L) @ eta
     cost = R * ca.sumsqr(moves)
     for i in range(N_P):

@@ -3,22 +3,28 @@
 import math
 from collections.abc import Callable
 from dataclasses import astuple, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.path import Array
+from ampc_msgs_config.path import Array, Path
+from ampc_msgs_config.types import VehicleState
+from ampc_ros.belief import Limits, limits_of
 from ampc_ros.gain_table import Gains, load_gain_table
-from ampc_ros.laguerre import network
-from ampc_ros.lateral_mpc import Limits, Tick, limits_of, plan, problem
+from ampc_ros.laguerre import laguerre_sequence
+from ampc_ros.lateral_mpc import LateralMpc, Move, Tick, plan, problem, scratch_numbers
 from ampc_ros.model import Vehicle
-from ampc_ros.qp import SOLVED, Qp, active_set
+from ampc_ros.qp import SOLVED, Qp, active_set, solver_numbers
+from ampc_ros.small_matrices import Scratch, make_scratch
 from sim_vehicle.parameters import load_vehicle, numbers
 from sim_vehicle.vehicle import SIZE, V_X, V_Y, YAW, YAW_RATE, Y, drive
 
-VEHICLE: Vehicle = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
+CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+VEHICLE: Vehicle = astuple(CHASSIS)
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 GAINS = load_gain_table("table3").nodes[0]
 """(45, 15, 5): the paper's sizes."""
@@ -33,66 +39,66 @@ class Task(NamedTuple):
     tick: Tick
 
 
-class TwoSided(NamedTuple):
-    """Minimise 1/2 x' E x + x' K subject to low <= A x <= high, as most solvers want it."""
-
-    E: Array
-    """(n, n)."""
-    K: Array
-    """(n,)."""
-    A: Array
-    """(m, n)."""
-    low: Array
-    """(m,), -inf where there is no bound."""
-    high: Array
-    """(m,), inf where there is no bound."""
-
-
 def limits(half_width: float = math.inf) -> Limits:
     """Give the limits of Table 3, with a lane if asked for."""
     return limits_of(replace(SETTINGS, max_output_error=half_width))
 
 
-def posed(task: Task) -> TwoSided:
-    """Pose the programme of a tick with the readable functions; the two sides of a row are one."""
-    E, K, M, gamma = problem(VEHICLE, task.gains, limits(task.half_width), task.tick)
-    h = 4 * task.gains.control_horizon
-    A = np.vstack((M[:h:2], M[h:]))
-    low = np.append(-gamma[1:h:2], np.full(len(M) - h, -math.inf))
-    return TwoSided(E, K, A, low, np.append(gamma[:h:2], gamma[h:]))
+def posed(task: Task) -> Qp:
+    """Pose the programme of a tick."""
+    return problem(VEHICLE, task.gains, limits(task.half_width), task.tick)
 
 
-def prepared(qp: TwoSided) -> Qp:
-    """Bring a programme into the form of our solver."""
-    rows, bounds = one_sided(qp)
-    return Qp(qp.E, qp.K, rows, bounds)
+def qp_alone(qp: Qp) -> Callable[[], Array | None]:
+    """Give a call that solves, in memory made beforehand."""
+    m, n = qp.M.shape
+    x, multipliers, scratch = np.zeros(n), np.zeros(m), make_scratch(solver_numbers(m, n))
+
+    def solve() -> Array | None:
+        multipliers.fill(0.0)
+        _, status = active_set(qp, x, multipliers, scratch)
+        return x if status == SOLVED else None
+
+    return solve
 
 
-def one_sided(qp: TwoSided) -> tuple[Array, Array]:
-    """Rows and bounds of M x <= gamma."""
-    lower = np.isfinite(qp.low)
-    M = np.vstack((qp.A, -qp.A[lower]))
-    return np.ascontiguousarray(M), np.append(qp.high, -qp.low[lower])
+def whole_tick(gains: Gains) -> Callable[[Tick], float | None]:
+    """Give what answers a tick by its first move [rad], in memory made beforehand."""
+    scratch, bounds = make_scratch(scratch_numbers(*gains[:3])), limits()
+
+    def answer(tick: Tick) -> float | None:
+        move = planned(gains, bounds, tick, scratch)
+        return move.Delta_u if move.status == SOLVED else None
+
+    return answer
 
 
-def qp_alone(qp: Qp) -> Array | None:
-    """Solve; nothing where the solver says that there is no solution."""
-    solution = active_set(qp)
-    return solution.x if solution.status == SOLVED else None
+def planned(gains: Gains, bounds: Limits, tick: Tick, scratch: Scratch) -> Move:
+    """Pose and solve in scratch memory that nobody else uses."""
+    scratch.used[0] = 0
+    return plan(VEHICLE, gains, bounds, tick, scratch)
 
 
-def whole_tick(task: Task) -> float | None:
-    """Answer a tick by its first move [rad]."""
-    Delta_u, _, _, solution = plan(VEHICLE, task.gains, TABLE_3, task.tick)
-    return Delta_u if solution.status == SOLVED else None
+def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:
+    """Give the controller's answers to a drive, each from what it remembered then."""
+    controller = LateralMpc(CHASSIS, SETTINGS, load_gain_table("table3"))
+    remembered = []
+    for state in driven.states:
+        remembered.append(controller.memory.copy())
+        controller.step(state, path)
+
+    def step(memory: Array, state: VehicleState) -> object:
+        controller.memory[:] = memory
+        return controller.step(state, path)
+
+    return [partial(step, *both) for both in zip(remembered, driven.states, strict=True)]
 
 
-TABLE_3 = limits()
-
-
-def first_laguerre(gains: Gains) -> Array:
-    """L(0), which makes the first move of eta (N,)."""
-    return network(gains.laguerre_pole, gains.laguerre_terms)[1]
+def laguerre(gains: Gains) -> Array:
+    """Laguerre functions L(0)' .. L(N_c - 1)' as rows (N_c, N)."""
+    L = np.zeros((gains.control_horizon, gains.laguerre_terms))
+    laguerre_sequence(gains.laguerre_pole, L)
+    return L
 
 
 def make_swarm(cars: int, step: float) -> Callable[[float], int]:
@@ -109,9 +115,9 @@ def make_swarm(cars: int, step: float) -> Callable[[float], int]:
     state = np.zeros((cars, SIZE))
     state[:, Y], state[:, V_X] = np.linspace(-1.0, 1.0, cars), np.linspace(8.0, 20.0, cars)
     speed, steering, last = state[:, V_X].copy(), np.zeros(cars), state.copy()
-    plant = numbers(load_vehicle(find("vehicles", "paper")))
+    plant, scratch = numbers(load_vehicle(find("vehicles", "paper"))), make_scratch(4000)
     still, queue = np.zeros((round(SETTINGS.sample_time / step), 2)), np.zeros(0)
-    seen = [V_Y, YAW, YAW_RATE, Y]
+    seen, bounds = [V_Y, YAW, YAW_RATE, Y], limits()
 
     def advance(seconds: float) -> int:
         ticks = round(seconds / SETTINGS.sample_time)
@@ -119,7 +125,7 @@ def make_swarm(cars: int, step: float) -> Callable[[float], int]:
             for i in range(cars):
                 x = np.append(state[i, seen] - last[i, seen], state[i, Y])
                 tick = Tick(state[i, V_X], x, steering[i], 0.0)
-                steering[i] += plan(VEHICLE, GAINS, TABLE_3, tick)[0]
+                steering[i] += planned(GAINS, bounds, tick, scratch).Delta_u
                 last[i] = state[i]
                 state[i] = drive(state[i], queue, steering[i], speed[i], still, 0.9, step, plant)
         return ticks * cars

@@ -9,18 +9,22 @@ import numpy as np
 from scipy.optimize import linprog
 
 from ampc_msgs_config.config import find
-from ampc_msgs_config.path import Array, make_path
-from ampc_msgs_config.path_frame import path_frame
+from ampc_msgs_config.metrics import Drive
+from ampc_msgs_config.path import Array, Path
+from ampc_msgs_config.path_frame import path_frame, place, set_point
+from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import at_distance, wrap_angle
 from ampc_ros.controller import Choices, make_controller
 from ampc_ros.lateral_mpc import Tick
-from launch_scripts.bench_ours import GAINS, SETTINGS, Task, TwoSided, first_laguerre, one_sided
+from ampc_ros.qp import Qp
+from launch_scripts.bench_ours import GAINS, SETTINGS, Task, laguerre
 from launch_scripts.bench_ours import posed as pose
-from launch_scripts.bench_reference import exact_move
+from launch_scripts.bench_reference import exact_move, one_sided
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 
+CAR = load_vehicle(find("vehicles", "paper"))
 SCENARIOS = ("sc3_constant", "sc2")
 KINDS = ("recorded", "perturbed", "lane with slack", "repeated rows", "hard lane", "infeasible")
 SPREAD = np.array([0.3, 0.03, 0.1, 0.2, 1.5])
@@ -33,7 +37,7 @@ class Problem(NamedTuple):
     """A programme, and what is right for it."""
 
     kind: str
-    qp: TwoSided
+    qp: Qp
     L_0: Array
     """First move = L(0)' x, zero at the slack (n,)."""
     move: float
@@ -53,24 +57,28 @@ def problems(count: int, seed: int = 1) -> list[Problem]:
 
 def recorded_ticks() -> list[Tick]:
     """What the paper's controller knew in closed loop, tick by tick."""
-    return [tick for name in SCENARIOS for tick in drive_and_record(name)]
+    return [tick for name in SCENARIOS for tick in ticks_of(*drive_scenario(name))]
 
 
-def drive_and_record(name: str) -> list[Tick]:
-    """Drive a scenario and read the ticks off what was seen and commanded."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
-    scenario = load_scenario(name, vehicle.size)
-    driven = drive(Simulation(vehicle, scenario), make_controller(Choices("paper")))
-    frame, ticks = path_frame(make_path(scenario.points)), []
+def drive_scenario(name: str) -> tuple[Drive, Path]:
+    """Drive a scenario with the paper's controller; gives the path, too."""
+    scenario = load_scenario(name, CAR.size)
+    driven = drive(Simulation(CAR, scenario), make_controller(Choices("paper")))
+    return driven, make_path(scenario.points)
+
+
+def ticks_of(driven: Drive, path: Path) -> list[Tick]:
+    """Read off what was seen and commanded, what the controller knew at each tick."""
+    frame, ticks = path_frame(path), []
     last: Array | None = None
     for k, state in enumerate(driven.states):
-        car = at_distance(state, vehicle.chassis.cg_to_rear_axle)
-        X, Y, yaw = frame.place(car)
+        car = at_distance(state, CAR.chassis.cg_to_rear_axle)
+        X, Y, yaw = place(frame, car.x, car.y, car.yaw)
         x = np.array([car.v_y, yaw, car.yaw_rate, Y])
         Delta_x = np.zeros(4) if last is None else x - last
         Delta_x[1], last = wrap_angle(Delta_x[1]), x
         u = float(driven.steering[k - 1]) if k else 0.0
-        ticks.append(Tick(car.v_x, np.append(Delta_x, Y), u, frame.set_point(X)))
+        ticks.append(Tick(car.v_x, np.append(Delta_x, Y), u, set_point(frame, X)))
     return ticks
 
 
@@ -104,25 +112,25 @@ def of_kind(kind: str, ticks: list[Tick], rng: np.random.Generator) -> Iterator[
         yield judged(kind, qp)
 
 
-def with_repeated_rows(qp: TwoSided, rng: np.random.Generator) -> TwoSided:
+def with_repeated_rows(qp: Qp, rng: np.random.Generator) -> Qp:
     """Repeat half of the rows, some of them scaled: linearly dependent whenever active."""
-    chosen = rng.permutation(len(qp.A))[: len(qp.A) // 2]
+    chosen = rng.permutation(len(qp.M))[: len(qp.M) // 2]
     scale = rng.choice([1.0, 1.0, 3.0], len(chosen))
     return qp._replace(
-        A=np.vstack((qp.A, scale[:, None] * qp.A[chosen])),
+        M=np.vstack((qp.M, scale[:, None] * qp.M[chosen])),
         low=np.append(qp.low, scale * qp.low[chosen]),
         high=np.append(qp.high, scale * qp.high[chosen]),
     )
 
 
-def without_slack(qp: TwoSided) -> TwoSided:
+def without_slack(qp: Qp) -> Qp:
     """Make the lane hard: the slack, last unknown and last row, goes."""
     n = len(qp.K) - 1
-    E, A = np.ascontiguousarray(qp.E[:n, :n]), np.ascontiguousarray(qp.A[:-1, :n])
-    return TwoSided(E, qp.K[:n].copy(), A, qp.low[:-1].copy(), qp.high[:-1].copy())
+    E, M = np.ascontiguousarray(qp.E[:n, :n]), np.ascontiguousarray(qp.M[:-1, :n])
+    return Qp(E, qp.K[:n].copy(), M, qp.low[:-1].copy(), qp.high[:-1].copy())
 
 
-def room_inside(qp: TwoSided) -> float:
+def room_inside(qp: Qp) -> float:
     """Least distance to all bounds that a point can have, up to 1; negative if there is none.
 
     Rows are scaled to a length of 1; the linear programme is HiGHS's.
@@ -135,9 +143,9 @@ def room_inside(qp: TwoSided) -> float:
     return float(found.x[-1])
 
 
-def judged(kind: str, qp: TwoSided) -> Problem:
+def judged(kind: str, qp: Qp) -> Problem:
     """Add what is right."""
-    L_0 = np.append(first_laguerre(GAINS), np.zeros(len(qp.K) - GAINS.laguerre_terms))
+    L_0 = np.append(laguerre(GAINS)[0], np.zeros(len(qp.K) - GAINS.laguerre_terms))
     if kind == "infeasible":
         return Problem(kind, qp, L_0, math.nan, 0.0, 0)
     return Problem(kind, qp, L_0, *exact_move(qp, L_0))

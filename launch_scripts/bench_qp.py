@@ -15,7 +15,9 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from ampc_msgs_config.path import Array
-from launch_scripts.bench_ours import TwoSided, one_sided, prepared, qp_alone
+from ampc_ros.qp import Qp
+from launch_scripts.bench_ours import qp_alone
+from launch_scripts.bench_reference import one_sided
 
 Answer = Callable[[], Array | None]
 Settings = dict[str, Any]
@@ -30,17 +32,12 @@ class Solver(NamedTuple):
     """That has to be installed."""
     call: str
     """What is timed."""
-    prepare: Callable[[TwoSided], Answer]
+    prepare: Callable[[Qp], Answer]
 
 
-def ours(qp: TwoSided) -> Answer:
-    """Our dual active-set method."""
-    return partial(qp_alone, prepared(qp))
-
-
-def with_daqp(qp: TwoSided) -> Answer:
+def with_daqp(qp: Qp) -> Answer:
     """DAQP, a dual active-set method in C."""
-    return partial(solve_daqp, qp.E, qp.K, qp.A, qp.high, qp.low)
+    return partial(solve_daqp, qp.E, qp.K, qp.M, qp.high, qp.low)
 
 
 def solve_daqp(*matrices: Array) -> Array | None:
@@ -49,7 +46,7 @@ def solve_daqp(*matrices: Array) -> Array | None:
     return np.asarray(x) if flag > 0 else None
 
 
-def with_quadprog(qp: TwoSided) -> Answer:
+def with_quadprog(qp: Qp) -> Answer:
     """Goldfarb and Idnani's own method, in C: maximal -K' x, M' as columns, >=."""
     import quadprog
 
@@ -66,11 +63,11 @@ def with_quadprog(qp: TwoSided) -> Answer:
     return solve
 
 
-def with_osqp(workspaces: dict[tuple[int, ...], Any], settings: Settings, qp: TwoSided) -> Answer:
+def with_osqp(workspaces: dict[tuple[int, ...], Any], settings: Settings, qp: Qp) -> Answer:
     """OSQP, an operator splitting in C; its workspace is kept and all numbers are updated."""
     import osqp
 
-    E, A = upper_triangle(qp.E), full(qp.A)
+    E, A = upper_triangle(qp.E), full(qp.M)
     if A.shape not in workspaces:
         workspaces[A.shape] = osqp.OSQP()
         workspaces[A.shape].setup(E, qp.K, A, qp.low, qp.high, verbose=False, **settings)
@@ -99,11 +96,11 @@ def upper_triangle(E: Array) -> Any:
     return csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
-def with_piqp(qp: TwoSided) -> Answer:
+def with_piqp(qp: Qp) -> Answer:
     """PIQP, a proximal interior-point method in C++, dense."""
     import piqp
 
-    E, A = np.asfortranarray(qp.E), np.asfortranarray(qp.A)
+    E, A = np.asfortranarray(qp.E), np.asfortranarray(qp.M)
 
     def solve() -> Array | None:
         solver = piqp.DenseSolver()
@@ -114,7 +111,7 @@ def with_piqp(qp: TwoSided) -> Answer:
 
 
 SOLVERS = (
-    Solver("ours", "numba", "active_set(qp)", ours),
+    Solver("ours", "numba", "active_set", qp_alone),
     Solver("DAQP", "daqp", "daqp.solve", with_daqp),
     Solver("quadprog", "quadprog", "quadprog.solve_qp", with_quadprog),
     Solver("OSQP, default settings", "osqp", "OSQP.update and solve", partial(with_osqp, {}, {})),

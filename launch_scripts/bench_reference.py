@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ampc_msgs_config.path import Array
-from launch_scripts.bench_ours import TwoSided, one_sided
+from ampc_ros.qp import Qp
 
 TIGHT = {"primal_tol": 1e-12, "dual_tol": 1e-13}
 ON_BOUND = 1e-9
@@ -16,7 +16,7 @@ LARGEST_DOUBT = 1e-4
 """Of a reference [rad]: a tenth of what counts as a wrong answer."""
 
 
-def exact_move(qp: TwoSided, L_0: Array) -> tuple[float, float, int]:
+def exact_move(qp: Qp, L_0: Array) -> tuple[float, float, int]:
     """Solve with DAQP at tight tolerances, and check the answer by its optimality conditions.
 
     Returns:
@@ -25,14 +25,14 @@ def exact_move(qp: TwoSided, L_0: Array) -> tuple[float, float, int]:
     Raises:
         ArithmeticError: The answer cannot be trusted.
     """
-    x, _, flag, _ = daqp.solve(qp.E, qp.K, qp.A, qp.high, qp.low, **TIGHT)
+    x, _, flag, _ = daqp.solve(qp.E, qp.K, qp.M, qp.high, qp.low, **TIGHT)
     doubt, active = certificate(qp, x, L_0) if flag > 0 else (math.inf, 0)
     if not doubt < LARGEST_DOUBT:
         raise ArithmeticError(f"reference: DAQP's flag {flag}, error up to {doubt:.1e} rad")
     return float(L_0 @ x), doubt, active
 
 
-def certificate(qp: TwoSided, x: Array, L_0: Array) -> tuple[float, int]:
+def certificate(qp: Qp, x: Array, L_0: Array) -> tuple[float, int]:
     """Bound of the error of L(0)' x [rad], and the number of active rows.
 
     The multipliers of the rows that x touches are the non-negative ones which leave the least of
@@ -52,3 +52,10 @@ def certificate(qp: TwoSided, x: Array, L_0: Array) -> tuple[float, int]:
     distance = math.sqrt(r @ np.linalg.solve(qp.E, r)) + math.sqrt(gap)
     bound = distance * math.sqrt(L_0 @ np.linalg.solve(qp.E, L_0))
     return (bound if (slack > -ON_BOUND * size).all() else math.inf), int(active.sum())
+
+
+def one_sided(qp: Qp) -> tuple[Array, Array]:
+    """Rows and bounds of M x <= gamma."""
+    upper, lower = np.isfinite(qp.high), np.isfinite(qp.low)
+    M = np.vstack((qp.M[upper], -qp.M[lower]))
+    return np.ascontiguousarray(M), np.append(qp.high[upper], -qp.low[lower])

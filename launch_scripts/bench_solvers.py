@@ -10,8 +10,16 @@ import numpy as np
 from ampc_ros.gain_table import Gains
 from ampc_ros.lateral_mpc import Tick
 from launch_scripts.bench_mpc import Answer, casadi_qp, do_mpc_controller, numpy_daqp
-from launch_scripts.bench_ours import GAINS, Task, first_laguerre, posed, whole_tick
-from launch_scripts.bench_problems import KINDS, Problem, perturbed, problems, recorded_ticks
+from launch_scripts.bench_ours import GAINS, Task, full_steps, laguerre, posed, whole_tick
+from launch_scripts.bench_problems import (
+    KINDS,
+    SCENARIOS,
+    Problem,
+    drive_scenario,
+    perturbed,
+    problems,
+    recorded_ticks,
+)
 from launch_scripts.bench_qp import SOLVERS, Solver, installed, with_daqp
 from launch_scripts.bench_reference import exact_move
 from launch_scripts.bench_report import Row, Section
@@ -21,7 +29,11 @@ WRONG = 1e-3
 """Error of the first move that counts as a wrong answer [rad]."""
 FREE = Gains(45, 45, 45, 0.0, GAINS.output_weight, GAINS.increment_weight)
 """One increment for each step: pole 0 and as many terms as steps make L the identity."""
-DAQP_ALONE = "for comparison: DAQP alone"
+DAQP_ALONE, FULL = "DAQP alone", "ours, state to command"
+BESIDES = {
+    DAQP_ALONE: "for comparison: daqp.solve, no model",
+    FULL: "besides: place on the path, set-point, gain table, memory, diagnosis (recorded ticks)",
+}
 Maker = Callable[[], Answer]
 
 
@@ -42,7 +54,7 @@ class Tool(NamedTuple):
 
 def ours() -> Answer:
     """Our tick."""
-    return lambda tick: whole_tick(Task(GAINS, math.inf, tick))
+    return whole_tick(GAINS)
 
 
 TOOLS = (
@@ -152,7 +164,8 @@ def qp_row(solver: Solver, timing: Timing, daqp: Timing, shares: Row) -> Row:
 def whole_ticks(count: int, rounds: int) -> Section:
     """Measure controllers built with other tools on the same ticks."""
     ticks, rng = recorded_ticks(), np.random.default_rng(2)
-    task = [ticks[i] for i in np.linspace(0, len(ticks) - 1, count).astype(int)]
+    chosen = np.linspace(0, len(ticks) - 1, count).astype(int)
+    task = [ticks[i] for i in chosen]
     task += [perturbed(tick, rng) for tick in task]
     tools = {tool.name: tool for tool in TOOLS if installed(tool.package)}
     answers = {name: tool.make() for name, tool in tools.items()}
@@ -165,6 +178,8 @@ def whole_ticks(count: int, rounds: int) -> Section:
     entrants[DAQP_ALONE] = Entrant(
         [with_daqp(posed(Task(GAINS, math.inf, tick))) for tick in task], rounds
     )
+    full = [call for name in SCENARIOS for call in full_steps(*drive_scenario(name))]
+    entrants[FULL] = Entrant(2 * [full[i] for i in chosen], rounds)
     times = {name: statistics(t) for name, t in interleaved(entrants).items()}
     return Section("tick", "Whole tick", note_on_ticks(len(task)), tick_rows(times, tools, shares))
 
@@ -176,7 +191,7 @@ def tick_rows(
     return [
         {
             "controller": name,
-            "a tick contains": tools[name].inside if name in tools else "daqp.solve, no model",
+            "a tick contains": tools[name].inside if name in tools else BESIDES[name],
             **timing_cells(timing, times[DAQP_ALONE]),
             "times ours": timing.median / times["ours"].median,
             "wrong [%]": shares.get(name),
@@ -203,7 +218,7 @@ def missing(packages: set[str]) -> str:
 
 def move(gains: Gains, tick: Tick) -> float:
     """Right first move [rad]."""
-    return exact_move(posed(Task(gains, math.inf, tick)), first_laguerre(gains))[0]
+    return exact_move(posed(Task(gains, math.inf, tick)), laguerre(gains)[0])[0]
 
 
 def share_wrong(answer: Answer, task: Sequence[Tick], right: Sequence[float]) -> float:

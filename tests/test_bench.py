@@ -10,20 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ampc_ros.model import augment, lateral_dynamics, zero_order_hold
+from ampc_ros.model import augment, zero_order_hold
+from ampc_ros.qp import Qp
+from ampc_ros.small_matrices import make_scratch
 from launch_scripts import bench, bench_growth, bench_qp, bench_reference
 from launch_scripts.bench_mpc import augmented_model, casadi_qp, do_mpc_controller, numpy_daqp
 from launch_scripts.bench_ours import (
     GAINS,
     VEHICLE,
     Task,
-    TwoSided,
     limits,
-    one_sided,
     posed,
     whole_tick,
 )
 from launch_scripts.bench_problems import KINDS, Problem, perturbed, problems, recorded_ticks
+from launch_scripts.bench_reference import one_sided
 from launch_scripts.bench_solvers import FREE, WRONG, Maker, move, ours, verdict
 from launch_scripts.bench_timing import Entrant, interleaved, statistics
 
@@ -95,7 +96,7 @@ def test_report_names_the_machine_but_no_host_and_no_folder(written: Path) -> No
 def test_programmes_of_every_kind_are_what_their_name_says(task: list[Problem]) -> None:
     assert [p.kind for p in task] == [kind for kind in KINDS for _ in range(6)]
     assert [math.isnan(p.move) for p in task] == [p.kind == "infeasible" for p in task]
-    rows = {p.kind: len(p.qp.A) for p in task}
+    rows = {p.kind: len(p.qp.M) for p in task}
     assert rows["repeated rows"] == 1.5 * rows["recorded"]
     assert sum(p.active for p in task if p.kind == "perturbed") > 0
     assert all(p.doubt < WRONG / 10 for p in task)
@@ -126,7 +127,7 @@ def test_certificate_doubts_a_point_that_is_off(task: list[Problem]) -> None:
 
 def test_reference_that_cannot_be_trusted_is_an_error() -> None:
     one = np.ones((1, 1))
-    empty = TwoSided(one, np.zeros(1), one, np.ones(1), -np.ones(1))
+    empty = Qp(one, np.zeros(1), one, np.ones(1), -np.ones(1))
     with pytest.raises(ArithmeticError, match="reference"):
         bench_reference.exact_move(empty, np.ones(1))
 
@@ -148,14 +149,14 @@ def test_two_sided_form_is_the_same_polyhedron(task: list[Problem]) -> None:
     for problem in task:
         M, gamma = one_sided(problem.qp)
         for x in rng.normal(size=(20, len(problem.qp.K))):
-            y = problem.qp.A @ x
+            y = problem.qp.M @ x
             inside = bool(((problem.qp.low <= y) & (y <= problem.qp.high)).all())
             assert inside == bool((M @ x <= gamma).all())
 
 
 def test_recorded_ticks_are_those_of_the_closed_loop() -> None:
-    ticks = recorded_ticks()
-    moves = np.array([whole_tick(Task(GAINS, math.inf, tick)) for tick in ticks[:-1]], float)
+    ticks, answer = recorded_ticks(), whole_tick(GAINS)
+    moves = np.array([answer(tick) for tick in ticks[:-1]], float)
     commanded = np.diff([tick.u for tick in ticks])
     same_drive = np.abs(np.diff([tick.x[4] for tick in ticks])) < 2.0
     np.testing.assert_allclose(moves[same_drive], commanded[same_drive], atol=1e-7)
@@ -189,7 +190,9 @@ def test_exponent_of_a_power_is_found() -> None:
 
 def test_model_of_the_users_tools_is_ours() -> None:
     for v_x in (1.0, 9.0, 27.0):
-        ours = augment(*zero_order_hold(*lateral_dynamics(VEHICLE, v_x), limits().T))
-        for found, expected in zip(augmented_model(v_x), ours, strict=True):
+        A_k, B_k, A, B = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+        zero_order_hold(VEHICLE, v_x, 0.0, limits().T, A_k, B_k, make_scratch(500))
+        augment(A_k, B_k, A, B)
+        for found, expected in zip(augmented_model(v_x), (A, B), strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert posed(Task(GAINS, math.inf, recorded_ticks()[0])).A.shape == (30, 5)
+    assert posed(Task(GAINS, math.inf, recorded_ticks()[0])).M.shape == (30, 5)
