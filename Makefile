@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
 
-.PHONY: help setup dev demo test lint clean
+.PHONY: help setup dev demo test lint bench clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -24,6 +24,10 @@ lint: dev  ## set up, then check format, style and types
 	@$(VENV_PYTHON) -m ruff format --check .
 	@$(VENV_PYTHON) -m ruff check .
 	@$(VENV_PYTHON) -m mypy
+
+bench:  ## set up, then measure against other solvers and tools (about 5 min), into runs/bench
+	@$(PYTHON) launch_scripts/bootstrap.py --bench
+	@$(VENV_PYTHON) launch_scripts/bench.py
 
 clean:  ## remove everything that make made; runs/ stays
 	rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis

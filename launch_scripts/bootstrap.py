@@ -1,7 +1,8 @@
 """Set-up of the workspace: ``.venv``, the pinned requirements, the colcon build, compiled code.
 
-``python3 launch_scripts/bootstrap.py [--dev]`` may be run at any time: it does what is missing.
-Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere the ROS wheels are.
+``python3 launch_scripts/bootstrap.py [--dev] [--bench]`` may be run at any time: it does what is
+missing. Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere the ROS
+wheels are.
 """
 
 import sys
@@ -47,9 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Sets the workspace up and gives the exit code."""
     parser = argparse.ArgumentParser(description="Set up .venv and build the colcon workspace.")
     parser.add_argument("--dev", action="store_true", help="also install what tests and lint need")
-    dev = parser.parse_args(arguments).dev
+    parser.add_argument("--bench", action="store_true", help="also install what we are measured by")
+    chosen = parser.parse_args(arguments)
     try:
-        bootstrap(dev=dev)
+        bootstrap(dev=chosen.dev, bench=chosen.bench)
     except SetupError as error:
         print(f"bootstrap: {error}", file=sys.stderr)
         return 1
@@ -62,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def bootstrap(*, dev: bool) -> None:
+def bootstrap(*, dev: bool, bench: bool = False) -> None:
     """Makes ``.venv``, installs into it and builds the workspace, each only where needed."""
     with_ros = uses_installed_ros(os.environ.get("ROS_DISTRO", ""))
     LOG.parent.mkdir(exist_ok=True)
@@ -71,7 +73,7 @@ def bootstrap(*, dev: bool) -> None:
     if done(VENV) != {home}:
         create_venv(with_ros)
         mark(VENV, {home})
-    requirements = requirement_files(with_ros=with_ros, dev=dev)
+    requirements = requirement_files(with_ros=with_ros, dev=dev, bench=bench)
     wanted = {f"{file.name} {digest([file, ROOT / 'constraints.txt'])}" for file in requirements}
     installed = done(VENV / "lib")
     if not wanted <= installed:
@@ -110,12 +112,13 @@ def require_wheels(system: str, machine: str) -> None:
         )
 
 
-def requirement_files(*, with_ros: bool, dev: bool) -> list[Path]:
+def requirement_files(*, with_ros: bool, dev: bool, bench: bool) -> list[Path]:
     """The requirement files for this kind of machine."""
     needed = {
         "requirements.txt": True,
         "requirements-ros.txt": not with_ros,
         "requirements-dev.txt": dev,
+        "requirements-bench.txt": bench,
     }
     return [ROOT / name for name in needed if needed[name]]
 

@@ -1,0 +1,105 @@
+"""What the benchmark found, as tables, JSON, Markdown and a picture."""
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path as File
+from typing import Any, NamedTuple
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+Row = dict[str, Any]
+PACKAGES = ("numpy", "scipy", "numba", "daqp", "quadprog", "osqp", "piqp", "casadi", "do-mpc")
+
+
+class Section(NamedTuple):
+    """One table."""
+
+    key: str
+    """In JSON."""
+    title: str
+    note: str
+    """What was measured, and how."""
+    rows: list[Row]
+    """All with the same headings."""
+
+
+def machine() -> Row:
+    """Name what was measured on; neither who it belongs to nor where anything lies."""
+    return {
+        "cpu": cpu_model(),
+        "cores": len(os.sched_getaffinity(0)),
+        "system": f"{platform.system()} on {platform.machine()}",
+        "load average at the start": round(os.getloadavg()[0], 2),
+        "python": platform.python_version(),
+        "packages": {name: found for name in PACKAGES if (found := installed_version(name))},
+    }
+
+
+def cpu_model() -> str:
+    """Name of the processor, where Linux tells it."""
+    info = File("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def installed_version(package: str) -> str:
+    """Version of a package, empty where it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def text(value: Any) -> str:
+    """A cell: three digits, or a dash where there is no number."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return str(value)
+
+
+def show(section: Section, console: Console) -> None:
+    """Print a table."""
+    table = Table(title=section.title, box=SIMPLE_HEAD, title_justify="left")
+    for name, value in section.rows[0].items():
+        table.add_column(escape(name), justify="left" if isinstance(value, str) else "right")
+    for row in section.rows:
+        table.add_row(*(escape(text(value)) for value in row.values()))
+    console.print(table)
+    console.print(f"{escape(section.note)}\n", style="dim")
+
+
+def markdown(of_machine: Row, sections: Sequence[Section]) -> str:
+    """Write all tables for the README."""
+    packages = ", ".join(f"{name} {found}" for name, found in of_machine["packages"].items())
+    lines = [
+        f"{of_machine['cpu']}, {of_machine['cores']} cores, {of_machine['system']}, "
+        f"Python {of_machine['python']}, {packages}; "
+        f"load average {of_machine['load average at the start']} at the start.",
+    ]
+    for section in sections:
+        headings = list(section.rows[0])
+        lines += ["", f"**{section.title}.** {section.note}".rstrip(), ""]
+        lines += ["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
+        lines += ["| " + " | ".join(map(text, row.values())) + " |" for row in section.rows]
+    return "\n".join(lines) + "\n"
+
+
+def write(folder: File, of_machine: Row, sections: Sequence[Section]) -> None:
+    """Write JSON and Markdown."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        "machine": of_machine,
+        "sections": {s.key: {"title": s.title, "note": s.note, "rows": s.rows} for s in sections},
+    }
+    encoded = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    (folder / "bench.json").write_text(encoded, encoding="utf-8")
+    (folder / "bench.md").write_text(markdown(of_machine, sections), encoding="utf-8")
