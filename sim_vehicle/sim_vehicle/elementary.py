@@ -100,6 +100,6 @@ def arc_sine(x: float) -> float:
     q0 = 1.0 + z * -2.40339491173441421878e00
     q1 = 2.02094576023350569471e00 + z * -6.88283971605453293030e-01
     ratio = z * (p0 + w * (p1 + w * p2)) / (q0 + w * (q1 + w * 7.70381505559019352791e-02))
-    s = a if near else math.sqrt(abs(z))  # abs tells the compiler what it cannot know
+    s = a if near else math.sqrt(abs(z))  # abs: else a check for negative numbers stays
     angle = s + s * ratio
     return math.copysign(angle if near else 0.5 * math.pi - 2.0 * angle, x)

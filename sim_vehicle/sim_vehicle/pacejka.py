@@ -3,6 +3,7 @@
 Source: H. B. Pacejka, Tire and Vehicle Dynamics, 3rd ed.: Magic Formula and the influence of the
 load (chapters 1 and 4), transient slip with relaxation length (chapter 7), standstill (chapter 8).
 
+No function branches or calls the mathematical library: the loop over the wheels is SIMD code.
 A `tyre` is (magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0); magic is 0 for a linear tyre.
 """
 
@@ -38,7 +39,7 @@ def peak_force(load: float, friction: float, tyre: tuple[float, ...]) -> float:
 def cornering_stiffness(load: float, tyre: tuple[float, ...]) -> float:
     """B C D [N/rad]: C_alpha at the static load, its largest value at p times the static load.
 
-    The book's c_1 sin(2 atan(F_z / c_2)), written without trigonometry and with c_2 = p F_z0.
+    The book's c_1 sin(2 atan(F_z / c_2)) = 2 c_1 c_2 F_z / (c_2^2 + F_z^2), with c_2 = p F_z0.
     """
     _, _, _, _, p, _, _, C_alpha, F_z0 = tyre
     return C_alpha * (p**2 + 1.0) * F_z0 * load / ((p * F_z0) ** 2 + load**2)
@@ -76,7 +77,8 @@ def tyre_forces(
     """
     D = peak_force(load, friction, tyre)
     F_x = min(max(demand, -ANTI_LOCK * D), ANTI_LOCK * D)
-    left_over = math.sqrt(abs(1.0 - (F_x / (D + LEAST_FORCE)) ** 2))
+    share = F_x / (D + LEAST_FORCE)
+    left_over = math.sqrt(abs(1.0 - share**2))  # abs: else a check for negative numbers stays
     return F_x, left_over * lateral_force(slip, load, friction, tyre)
 
 
