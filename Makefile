@@ -2,11 +2,11 @@
 PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
 
-.PHONY: help setup dev demo test lint bench clean
+.PHONY: help setup dev demo test uncompiled lint bench clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
 
 setup:  ## create .venv, install the pinned requirements, build the workspace
 	@$(PYTHON) launch_scripts/bootstrap.py
@@ -19,6 +19,15 @@ demo: setup  ## set up, then drive scenario sc1 over ROS 2 and report
 
 test: dev  ## set up, then run all tests
 	@$(VENV_PYTHON) -m pytest
+
+# Without compilation the equations must give the same. Closed loops would take minutes, and so
+# would 2000 sweeps of Hildreth on hundreds of problems; ROS nodes have nothing of their own to say.
+UNCOMPILED := actuator car constraints gain_table interpolation laguerre lateral_mpc metrics model \
+	pacejka path prediction preview_model progress pure_pursuit qp scenario types
+UNCOMPILED_BUT := not 2000 and not enough_sweeps
+
+uncompiled: dev  ## set up, then run the tests of the equations with compilation switched off
+	@NUMBA_DISABLE_JIT=1 $(VENV_PYTHON) -m pytest $(UNCOMPILED:%=tests/test_%.py) -k "$(UNCOMPILED_BUT)"
 
 lint: dev  ## set up, then check format, style and types
 	@$(VENV_PYTHON) -m ruff format --check .

@@ -5,7 +5,7 @@ import time
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.scenario import load_scenario
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller
+from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 
@@ -16,7 +16,9 @@ def main() -> int:
     vehicle = load_vehicle(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)
     for name in CONTROLLERS:
-        drive(Simulation(vehicle, scenario), make_controller(Choices(controller=name)))
+        controller = make_controller(Choices(controller=name))
+        warm_up(controller)
+        drive(Simulation(vehicle, scenario), controller)
     print(f"compiled in {time.monotonic() - begin:.0f} s")
     return 0
 
