@@ -16,7 +16,7 @@ PARTS = {
     "growth": "launch_scripts.bench_growth",
     "swarm": "launch_scripts.bench_swarm",
     "scaling": "launch_scripts.bench_scaling",
-    "node": "launch_scripts.bench_node",
+    "node": "launch_scripts.bench_node_table",
 }
 """Modules whose `measure(quick=...)` gives the tables of a part."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -4,28 +4,38 @@ import math
 from collections.abc import Callable
 from dataclasses import astuple, replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
+from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Array, Path
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.scenario import load_scenario
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.belief import Limits, limits_of
+from ampc_ros.controller import Choices, make_controller
 from ampc_ros.gain_table import Gains, load_gain_table
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import LateralMpc, Move, Tick, plan, problem, scratch_numbers
 from ampc_ros.model import Vehicle
+from ampc_ros.preview import PreviewMpc
 from ampc_ros.qp import SOLVED, Qp, active_set, solver_numbers
 from ampc_ros.small_matrices import Scratch, make_scratch
-from sim_vehicle.parameters import load_vehicle, numbers
-from sim_vehicle.vehicle import SIZE, V_X, V_Y, YAW, YAW_RATE, Y, drive
+from launch_scripts.fleet import STEERING
+from launch_scripts.fleet_rows import Entry, prepare, run
+from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.parameters import load_vehicle
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
 VEHICLE: Vehicle = astuple(CHASSIS)
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
+CAR = load_vehicle(find("vehicles", "paper"))
+ROADS = ("sc1", "sc2", "sc3_constant", "sc3_wind")
+DURATION = 30.0
+"""Of the swarm's drives [s]."""
 GAINS = load_gain_table("table3").nodes[0]
 """(45, 15, 5): the paper's sizes."""
 
@@ -62,21 +72,49 @@ def qp_alone(qp: Qp) -> Callable[[], Array | None]:
     return solve
 
 
+@in_place
+def solve_often(qp: Qp, x: Array, multipliers: Array, scratch: Scratch, times: int) -> None:
+    """Solve again and again, as often as the compiled tick would in so many ticks."""
+    for _ in range(times):
+        for i in range(len(multipliers)):
+            multipliers[i] = 0.0
+        active_set(qp, x, multipliers, scratch)
+
+
+def qp_inside(qp: Qp, times: int) -> Callable[[], object]:
+    """Give a call that solves so often inside compiled code."""
+    m, n = qp.M.shape
+    memory = np.zeros(n), np.zeros(m), make_scratch(solver_numbers(m, n))
+    return partial(solve_often, qp, *memory, times)
+
+
 def whole_tick(gains: Gains) -> Callable[[Tick], float | None]:
     """Give what answers a tick by its first move [rad], in memory made beforehand."""
     scratch, bounds = make_scratch(scratch_numbers(*gains[:3])), limits()
 
     def answer(tick: Tick) -> float | None:
-        move = planned(gains, bounds, tick, scratch)
+        move = plan_often(VEHICLE, gains, bounds, tick, scratch, 1)
         return move.Delta_u if move.status == SOLVED else None
 
     return answer
 
 
-def planned(gains: Gains, bounds: Limits, tick: Tick, scratch: Scratch) -> Move:
-    """Pose and solve in scratch memory that nobody else uses."""
-    scratch.used[0] = 0
-    return plan(VEHICLE, gains, bounds, tick, scratch)
+def tick_inside(gains: Gains, tick: Tick, times: int) -> Callable[[], object]:
+    """Give a call that answers a tick so often inside compiled code."""
+    scratch = make_scratch(scratch_numbers(*gains[:3]))
+    return partial(plan_often, VEHICLE, gains, limits(), tick, scratch, times)
+
+
+@in_place
+def plan_often(
+    vehicle: Vehicle, gains: Gains, bounds: Limits, tick: Tick, scratch: Scratch, times: int
+) -> Move:
+    """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
+    move = Move(0.0, 0, 0.0, 0, 0)
+    for _ in range(times):
+        scratch.used[0] = 0
+        move = plan(vehicle, gains, bounds, tick, scratch)
+    return move
 
 
 def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:
@@ -101,33 +139,32 @@ def laguerre(gains: Gains) -> Array:
     return L
 
 
-def make_swarm(cars: int, step: float) -> Callable[[float], int]:
-    """Place cars beside a straight road, each elsewhere and at another speed.
+def make_swarm(formulation: str, cars: int, step: float) -> Callable[[], int]:
+    """Put cars on the paper's roads, the friction of each another.
 
     Args:
+        formulation: `paper` or `preview`.
         cars: How many.
         step: Of the integration [s].
 
     Returns:
-        A function that drives all of them on for some simulated seconds, and gives the number of
+        A call that drives all of them to their ends, in one thread, and gives the number of
         control ticks that this took.
     """
-    state = np.zeros((cars, SIZE))
-    state[:, Y], state[:, V_X] = np.linspace(-1.0, 1.0, cars), np.linspace(8.0, 20.0, cars)
-    speed, steering, last = state[:, V_X].copy(), np.zeros(cars), state.copy()
-    plant, scratch = numbers(load_vehicle(find("vehicles", "paper"))), make_scratch(4000)
-    still, queue = np.zeros((round(SETTINGS.sample_time / step), 2)), np.zeros(0)
-    seen, bounds = [V_Y, YAW, YAW_RATE, Y], limits()
+    roads = [load_scenario(name, CAR.size)._replace(duration=DURATION) for name in ROADS]
+    step_ns, friction = round(step * NANOSECONDS), np.linspace(0.8, 1.0, cars)
+    choices = Choices(formulation, settings="table3")
+    expedition = prepare(
+        [
+            Entry(
+                Simulation(CAR, roads[i % len(roads)], step_ns, friction=float(friction[i])),
+                cast(LateralMpc | PreviewMpc, make_controller(choices)),
+            )
+            for i in range(cars)
+        ]
+    )
 
-    def advance(seconds: float) -> int:
-        ticks = round(seconds / SETTINGS.sample_time)
-        for _ in range(ticks):
-            for i in range(cars):
-                x = np.append(state[i, seen] - last[i, seen], state[i, Y])
-                tick = Tick(state[i, V_X], x, steering[i], 0.0)
-                steering[i] += planned(GAINS, bounds, tick, scratch).Delta_u
-                last[i] = state[i]
-                state[i] = drive(state[i], queue, steering[i], speed[i], still, 0.9, step, plant)
-        return ticks * cars
+    def drive() -> int:
+        return int(np.isfinite(run(expedition)[:, :, STEERING]).sum())
 
-    return advance
+    return drive

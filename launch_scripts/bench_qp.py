@@ -6,7 +6,7 @@ solver says that it has no solution.
 """
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,6 +33,8 @@ class Solver(NamedTuple):
     call: str
     """What is timed."""
     prepare: Callable[[Qp], Answer]
+    slow: bool = False
+    """Goes through the programmes less often."""
 
 
 def with_daqp(qp: Qp) -> Answer:
@@ -44,6 +46,16 @@ def solve_daqp(*matrices: Array) -> Array | None:
     """Solve, default settings."""
     x, _, flag, _ = daqp.solve(*matrices)
     return np.asarray(x) if flag > 0 else None
+
+
+def daqp_inside(programmes: Sequence[Qp], rounds: int) -> Array:
+    """What DAQP says that it needed, without the way there from Python, (rounds, m) [us]."""
+    times = np.empty((rounds, len(programmes)))
+    for k in range(rounds):
+        for i, qp in enumerate(programmes):
+            *_, told = daqp.solve(qp.E, qp.K, qp.M, qp.high, qp.low)
+            times[k, i] = 1e6 * (told["setup_time"] + told["solve_time"])
+    return times
 
 
 def with_quadprog(qp: Qp) -> Answer:
@@ -110,12 +122,13 @@ def with_piqp(qp: Qp) -> Answer:
     return solve
 
 
+OSQP_CALLS = "OSQP.update and solve"
 SOLVERS = (
     Solver("ours", "numba", "active_set", qp_alone),
     Solver("DAQP", "daqp", "daqp.solve", with_daqp),
     Solver("quadprog", "quadprog", "quadprog.solve_qp", with_quadprog),
-    Solver("OSQP, default settings", "osqp", "OSQP.update and solve", partial(with_osqp, {}, {})),
-    Solver("OSQP, 1e-9", "osqp", "OSQP.update and solve", partial(with_osqp, {}, OSQP_TIGHT)),
+    Solver("OSQP, default settings", "osqp", OSQP_CALLS, partial(with_osqp, {}, {}), slow=True),
+    Solver("OSQP, 1e-9", "osqp", OSQP_CALLS, partial(with_osqp, {}, OSQP_TIGHT), slow=True),
     Solver("PIQP", "piqp", "DenseSolver, setup and solve", with_piqp),
 )
 
@@ -123,3 +136,9 @@ SOLVERS = (
 def installed(package: str) -> bool:
     """Whether a package is there."""
     return importlib.util.find_spec(package) is not None
+
+
+def missing(packages: set[str]) -> str:
+    """Say who could not take part."""
+    absent = sorted(package for package in packages if not installed(package))
+    return f"Not installed, left out: {', '.join(absent)}." if absent else ""

@@ -12,6 +12,8 @@ from ampc_ros.qp import Qp
 TIGHT = {"primal_tol": 1e-12, "dual_tol": 1e-13}
 ON_BOUND = 1e-9
 """A row nearer to its bound than this share of the bound's size counts as active."""
+WRONG = 1e-3
+"""Error of the first move that counts as a wrong answer [rad]."""
 LARGEST_DOUBT = 1e-4
 """Of a reference [rad]: a tenth of what counts as a wrong answer."""
 

@@ -87,3 +87,14 @@ def statistics(times: Array) -> Timing:
         float(np.percentile(times, 99)),
         float(np.percentile(per_problem, 99)),
     )
+
+
+def timing_cells(timing: Timing, unit: Timing) -> dict[str, float]:
+    """Give medians, tails and ratios."""
+    return {
+        "median [us]": timing.median,
+        "p99 [us]": timing.p99,
+        "median / DAQP": timing.median / unit.median,
+        "p99 / median": timing.p99 / timing.median,
+        "p99 of problems / median": timing.p99_of_problems / timing.median,
+    }

@@ -24,8 +24,9 @@ from launch_scripts.bench_ours import (
     whole_tick,
 )
 from launch_scripts.bench_problems import KINDS, Problem, perturbed, problems, recorded_ticks
-from launch_scripts.bench_reference import one_sided
-from launch_scripts.bench_solvers import FREE, WRONG, Maker, move, ours, verdict
+from launch_scripts.bench_reference import WRONG, one_sided
+from launch_scripts.bench_solvers import verdict
+from launch_scripts.bench_ticks import FREE, Maker, move, ours
 from launch_scripts.bench_timing import Entrant, interleaved, statistics
 
 MAKERS: dict[str, Maker] = {
@@ -72,7 +73,7 @@ def test_exact_solvers_are_never_wrong_in_the_table(sections: dict[str, Any]) ->
 def test_every_part_gives_a_table_in_json_and_markdown(
     written: Path, sections: dict[str, Any]
 ) -> None:
-    keys = {"qp", "qp_kinds", "tick", "swarm", "scaling"}
+    keys = {"qp", "qp_kinds", "tick", "swarm_paper", "swarm_preview", "scaling"}
     assert set(sections) == keys | {f"growth_{axis.split()[0]}" for axis in bench_growth.AXES}
     text = (written / "bench.md").read_text(encoding="utf-8")
     for section in sections.values():
