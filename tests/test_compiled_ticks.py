@@ -179,7 +179,7 @@ def test_a_function_in_place_that_takes_memory_is_refused(
 ) -> None:
     with pytest.raises(NumbaError):
         in_place(function)(np.ones(2))
-    assert compiled(function)(np.ones(2)) in (0.0, 1.0, 2.0)
+    assert function(np.ones(2)) in (0.0, 1.0, 2.0)  # nothing else is wrong with it
 
 
 @given(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import daqp
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -28,6 +29,11 @@ def paper_hildreth(qp: Qp) -> QpSolution:
 
 both_solvers = pytest.mark.parametrize("solver", [active_set, paper_hildreth])
 many = settings(max_examples=100, deadline=None, derandomize=True)
+
+
+def few(n: int) -> int:
+    """Give a number of cases; a tenth where nothing is compiled, which is that much slower."""
+    return n // 10 if numba.config.DISABLE_JIT else n  # type: ignore[attr-defined]
 
 
 def random_problem(rng: np.random.Generator, kind: str) -> Qp:
@@ -110,7 +116,7 @@ def kuhn_tucker_residual(qp: Qp, solution: QpSolution) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_solver_keeps_the_kuhn_tucker_conditions_on_random_problems(kind: str) -> None:
     rng = np.random.default_rng(1)
-    for _ in range(500):
+    for _ in range(few(500)):
         qp = random_problem(rng, kind)
         solution = active_set(qp)
         assert solution.converged
@@ -119,7 +125,7 @@ def test_exact_solver_keeps_the_kuhn_tucker_conditions_on_random_problems(kind: 
 
 def test_exact_solver_agrees_with_daqp_on_500_random_problems() -> None:
     rng = np.random.default_rng(2)
-    for i in range(500):
+    for i in range(few(500)):
         qp = random_problem(rng, KINDS[i % 7])
         sense = np.zeros(len(qp.low), np.int32)
         high, low = np.minimum(qp.high, 1e30), np.maximum(qp.low, -1e30)
@@ -133,7 +139,7 @@ def test_exact_solver_agrees_with_daqp_on_500_random_problems() -> None:
 def test_exact_solver_finds_the_only_set_of_rows_that_works(kind: str) -> None:
     """Every set of at most n rows is tried as the active one, with Eqs. (28) and (29)."""
     rng = np.random.default_rng(3)
-    problems = (random_problem(rng, kind) for _ in range(2000))
+    problems = (random_problem(rng, kind) for _ in range(few(2000)))
     for qp in (qp for qp in problems if len(qp.K) <= 3 and len(qp.M) <= 8):
         candidates = list(points_of_all_active_sets(qp))
         assert candidates
@@ -207,7 +213,7 @@ def infeasible_problem(rng: np.random.Generator) -> tuple[Qp, float]:
 
 def test_infeasible_problems_are_detected() -> None:
     rng = np.random.default_rng(4)
-    for _ in range(200):
+    for _ in range(few(200)):
         qp, depth = infeasible_problem(rng)
         assert depth > 1e-6
         assert active_set(qp).status == INFEASIBLE
@@ -287,21 +293,21 @@ def disagreement(qp: Qp, one: QpSolution, other: QpSolution) -> float:
 def test_hildreth_is_exact_where_it_claims_to_have_converged(kind: str, sweeps: int) -> None:
     rng = np.random.default_rng(5)
     claims = 0
-    for _ in range(200):
+    for _ in range(few(200)):
         qp = random_problem(rng, kind)
         solution = hildreth_solution(qp, sweeps, 1e-7)
         assert solution.iterations <= sweeps
         if solution.converged:
             claims += 1
             assert disagreement(qp, solution, active_set(qp)) < 1e-5
-    few = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
-    assert claims > (0 if few else 20)
+    rare = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
+    assert claims > (0 if rare else 20) or few(200) < 200
 
 
 @pytest.mark.parametrize("sweeps", [1, 38, 2000])
 def test_hildreth_never_claims_to_have_solved_an_infeasible_problem(sweeps: int) -> None:
     rng = np.random.default_rng(6)
-    for _ in range(100):
+    for _ in range(few(100)):
         qp, _ = infeasible_problem(rng)
         assert hildreth_solution(qp, sweeps, 1e-7).status == UNFINISHED
 
@@ -360,7 +366,7 @@ def test_nearest_point_of_a_box_is_the_clipped_one(solver: Solver) -> None:
 def test_multiplier_is_positive_at_the_upper_and_negative_at_the_lower_bound(kind: str) -> None:
     rng = np.random.default_rng(10)
     signs = set()
-    for _ in range(200):
+    for _ in range(few(200)):
         qp = random_problem(rng, kind)
         solution = active_set(qp)
         assert solution.status == SOLVED
