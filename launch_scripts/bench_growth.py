@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ampc_ros.gain_table import Gains
-from ampc_ros.lateral_mpc import Tick
+from ampc_ros.programme import Tick
 from launch_scripts.bench_ours import GAINS, Task, posed, qp_alone, whole_tick
 from launch_scripts.bench_problems import perturbed, recorded_ticks
 from launch_scripts.bench_qp import with_daqp

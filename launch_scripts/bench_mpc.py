@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from ampc_msgs_config.path import Array
-from ampc_ros.lateral_mpc import Tick
 from ampc_ros.model import lateral_dynamics
+from ampc_ros.programme import Tick
 from launch_scripts.bench_ours import GAINS, VEHICLE, laguerre, limits
 
 Answer = Callable[[Tick], float | None]

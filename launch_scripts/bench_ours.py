@@ -15,14 +15,16 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.active_set import active_set, solver_numbers
 from ampc_ros.belief import Limits, limits_of
 from ampc_ros.controller import Choices, make_controller
 from ampc_ros.gain_table import Gains, load_gain_table
 from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.lateral_mpc import LateralMpc, Move, Tick, plan, problem, scratch_numbers
+from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.model import Vehicle
 from ampc_ros.preview import PreviewMpc
-from ampc_ros.qp import SOLVED, Qp, active_set, solver_numbers
+from ampc_ros.programme import Move, Tick, plan, problem, scratch_numbers
+from ampc_ros.qp import SOLVED, Qp
 from ampc_ros.small_matrices import Scratch, make_scratch
 from launch_scripts.fleet import STEERING
 from launch_scripts.fleet_rows import Entry, prepare, run

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_ros.gain_table import Gains
-from ampc_ros.lateral_mpc import Tick
+from ampc_ros.programme import Tick
 from launch_scripts.bench_mpc import Answer, casadi_qp, do_mpc_controller, numpy_daqp
 from launch_scripts.bench_ours import (
     GAINS,

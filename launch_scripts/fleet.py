@@ -16,8 +16,8 @@ from ampc_msgs_config.path_frame import PathFrame
 from ampc_msgs_config.scenario import SpeedProfile, target_speed
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received
 from ampc_ros.gain_table import Table
-from ampc_ros.lateral_mpc import Answer, paper_tick
-from ampc_ros.preview import SENT, preview_tick
+from ampc_ros.paper_tick import Answer, paper_tick
+from ampc_ros.preview_tick import SENT, preview_tick
 from ampc_ros.small_matrices import Scratch
 from sim_vehicle.measurement import Deviations, measured, noisy
 from sim_vehicle.parameters import numbers_of

@@ -16,8 +16,9 @@ from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 from ampc_ros.belief import actuator_of
 from ampc_ros.model import STATES
-from ampc_ros.preview import BEFORE, EXPECTS, LAST_SPEED, PreviewMpc
+from ampc_ros.preview import PreviewMpc
 from ampc_ros.preview_model import SampledModel, sample
+from ampc_ros.preview_tick import BEFORE, EXPECTS, LAST_SPEED
 from ampc_ros.small_matrices import make_scratch
 
 SIZE = 1e-6

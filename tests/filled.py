@@ -3,7 +3,8 @@
 import numpy as np
 
 from ampc_msgs_config.path import Array
-from ampc_ros import constraints, hildreth, laguerre, model, prediction, preview_model, qp
+from ampc_ros import constraints, hildreth, laguerre, model, prediction, preview_model
+from ampc_ros.active_set import solution_of
 from ampc_ros.belief import Actuator
 from ampc_ros.model import STATES, Vehicle
 from ampc_ros.preview_model import SampledModel
@@ -82,7 +83,7 @@ def sampled_model(vehicle: Vehicle, v_x: float, T: float, actuator: Actuator) ->
 
 def active_set(problem: Qp) -> QpSolution:
     """Solve with the exact solver."""
-    return qp.solution_of(problem)
+    return solution_of(problem)
 
 
 def hildreth_solution(problem: Qp, sweeps: int, tolerance: float) -> QpSolution:

@@ -23,12 +23,15 @@ from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_frame import PathFrame, path_frame
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import Diagnosis, VehicleState
+from ampc_ros.active_set import active_set, solver_numbers
 from ampc_ros.gain_table import BOUNDS, Gains, GainTable, Table
 from ampc_ros.hildreth import hildreth, hildreth_numbers
-from ampc_ros.lateral_mpc import LateralMpc, new_memory, paper_tick
-from ampc_ros.preview import PreviewMpc, preview_tick
-from ampc_ros.preview import new_memory as new_preview_memory
-from ampc_ros.qp import SOLVED, active_set, solver_numbers
+from ampc_ros.lateral_mpc import LateralMpc
+from ampc_ros.paper_tick import new_memory, paper_tick
+from ampc_ros.preview import PreviewMpc
+from ampc_ros.preview_tick import new_memory as new_preview_memory
+from ampc_ros.preview_tick import preview_tick
+from ampc_ros.qp import SOLVED
 from ampc_ros.small_matrices import Scratch, make_scratch, matrix, vector
 from tests.generated_ticks import CARS, CASES, all_answers
 from tests.test_qp import random_problem

@@ -14,7 +14,7 @@ from ampc_msgs_config.path import Array
 from ampc_ros.belief import limits_of
 from ampc_ros.constraints import FIRST_OUTPUT_STEP, output_rows, output_steps, row_count
 from ampc_ros.gain_table import Gains
-from ampc_ros.lateral_mpc import Tick, problem
+from ampc_ros.programme import Tick, problem
 from ampc_ros.qp import Qp, QpSolution
 from tests.filled import (
     active_set,

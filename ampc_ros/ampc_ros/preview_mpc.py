@@ -11,7 +11,6 @@ from ampc_ros.belief import Belief
 from ampc_ros.constraints import output_rows, output_steps, running_sum
 from ampc_ros.gain_table import Gains
 from ampc_ros.laguerre import laguerre_sequence
-from ampc_ros.lateral_mpc import blank_programme, count_active, solve
 from ampc_ros.model import STATES, V_Y, Vehicle
 from ampc_ros.prediction import advance, quadratic_cost
 from ampc_ros.preview_model import (
@@ -22,6 +21,7 @@ from ampc_ros.preview_model import (
     road_steering,
     sample,
 )
+from ampc_ros.programme import blank_programme, count_active, solve
 from ampc_ros.qp import SOLVED, Qp
 from ampc_ros.small_matrices import Scratch, dot, matrix, vector
 
