@@ -36,8 +36,6 @@ VEHICLE: Vehicle = astuple(CHASSIS)
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 CAR = load_vehicle(find("vehicles", "paper"))
 ROADS = ("sc1", "sc2", "sc3_constant", "sc3_wind")
-DURATION = 30.0
-"""Of the swarm's drives [s]."""
 GAINS = load_gain_table("table3").nodes[0]
 """(45, 15, 5): the paper's sizes."""
 
@@ -141,19 +139,20 @@ def laguerre(gains: Gains) -> Array:
     return L
 
 
-def make_swarm(formulation: str, cars: int, step: float) -> Callable[[], int]:
+def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Callable[[], int]:
     """Put cars on the paper's roads, the friction of each another.
 
     Args:
         formulation: `paper` or `preview`.
         cars: How many.
         step: Of the integration [s].
+        seconds: Of the drives, simulated time.
 
     Returns:
         A call that drives all of them to their ends, in one thread, and gives the number of
         control ticks that this took.
     """
-    roads = [load_scenario(name, CAR.size)._replace(duration=DURATION) for name in ROADS]
+    roads = [load_scenario(name, CAR.size)._replace(duration=seconds) for name in ROADS]
     step_ns, friction = round(step * NANOSECONDS), np.linspace(0.8, 1.0, cars)
     choices = Choices(formulation, settings="table3")
     expedition = prepare(

@@ -13,7 +13,7 @@ from ampc_msgs_config.path import Array
 from launch_scripts.bench_ours import make_swarm
 from launch_scripts.bench_report import Row, Section
 
-CARS, STEP = 20, 0.005
+CARS, STEP, SECONDS = 20, 0.005, 30.0
 WORKERS = (1, 2)
 
 
@@ -81,4 +81,4 @@ def timed_drive(ticks: int) -> tuple[float, float, int]:
 @cache
 def swarm() -> Callable[[], int]:
     """The swarm that all threads of a process drive; none changes it."""
-    return make_swarm("paper", CARS, STEP)
+    return make_swarm("paper", CARS, STEP, SECONDS)

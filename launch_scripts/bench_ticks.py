@@ -121,6 +121,7 @@ def tick_rows(
             "a tick contains": tools[name].inside if name in tools else BESIDES[name],
             **timing_cells(timing, times[DAQP_ALONE]),
             "times ours": timing.median / times["ours"].median,
+            "times ours inside": timing.median / times[INSIDE].median,
             "wrong [%]": shares.get(name),
         }
         for name, timing in times.items()
