@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import astuple, replace
 from functools import partial
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.active_set import active_set, solver_numbers
+from ampc_ros.active_set import active_set, solve_in, solver_memory, solver_numbers
 from ampc_ros.belief import Limits, limits_of
 from ampc_ros.controller import Choices, make_controller
 from ampc_ros.gain_table import Gains, load_gain_table
@@ -61,13 +61,11 @@ def posed(task: Task) -> Qp:
 
 def qp_alone(qp: Qp) -> Callable[[], Array | None]:
     """Give a call that solves, in memory made beforehand."""
-    m, n = qp.M.shape
-    x, multipliers, scratch = np.zeros(n), np.zeros(m), make_scratch(solver_numbers(m, n))
+    programme, memory = tuple(qp), solver_memory(*qp.M.shape)
 
     def solve() -> Array | None:
-        multipliers.fill(0.0)
-        _, status = active_set(qp, x, multipliers, scratch)
-        return x if status == SOLVED else None
+        _, status = solve_in(programme, memory)
+        return memory[0] if status == SOLVED else None
 
     return solve
 
@@ -90,31 +88,38 @@ def qp_inside(qp: Qp, times: int) -> Callable[[], object]:
 
 def whole_tick(gains: Gains) -> Callable[[Tick], float | None]:
     """Give what answers a tick by its first move [rad], in memory made beforehand."""
-    scratch, bounds = make_scratch(scratch_numbers(*gains[:3])), limits()
+    scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
+    known = VEHICLE, tuple(gains), tuple(limits())
 
     def answer(tick: Tick) -> float | None:
-        move = plan_often(VEHICLE, gains, bounds, tick, scratch, 1)
-        return move.Delta_u if move.status == SOLVED else None
+        Delta_u, status = plan_often(*known, tuple(tick), scratch, 1)
+        return Delta_u if status == SOLVED else None
 
     return answer
 
 
 def tick_inside(gains: Gains, tick: Tick, times: int) -> Callable[[], object]:
     """Give a call that answers a tick so often inside compiled code."""
-    scratch = make_scratch(scratch_numbers(*gains[:3]))
-    return partial(plan_often, VEHICLE, gains, limits(), tick, scratch, times)
+    scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
+    known = VEHICLE, tuple(gains), tuple(limits()), tuple(tick)
+    return partial(plan_often, *known, scratch, times)
 
 
 @in_place
 def plan_often(
-    vehicle: Vehicle, gains: Gains, bounds: Limits, tick: Tick, scratch: Scratch, times: int
-) -> Move:
+    vehicle: Vehicle,
+    gains: tuple[Any, ...],
+    bounds: tuple[Any, ...],
+    tick: tuple[Any, ...],
+    scratch: tuple[Any, ...],
+    times: int,
+) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    move = Move(0.0, 0, 0.0, 0, 0)
+    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
     for _ in range(times):
-        scratch.used[0] = 0
-        move = plan(vehicle, gains, bounds, tick, scratch)
-    return move
+        memory.used[0] = 0
+        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), memory)
+    return move.Delta_u, move.status
 
 
 def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:

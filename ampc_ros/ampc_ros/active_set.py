@@ -73,10 +73,33 @@ class ActiveRows(NamedTuple):
 
 def solution_of(qp: Qp) -> QpSolution:
     """Solve a programme with `active_set`, in memory of its own."""
-    m, n = qp.M.shape
-    x, multipliers = np.zeros(n), np.zeros(m)
-    iterations, status = active_set(qp, x, multipliers, make_scratch(solver_numbers(m, n)))
-    return QpSolution(x, multipliers, iterations, status)
+    memory = solver_memory(*qp.M.shape)
+    iterations, status = solve_in(tuple(qp), memory)
+    return QpSolution(memory[0], memory[1], iterations, status)
+
+
+def solver_memory(m: int, n: int) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """Make what `solve_in` needs for m rows of n unknowns; x and the multipliers come first."""
+    return np.zeros(n), np.zeros(m), *make_scratch(solver_numbers(m, n))
+
+
+@in_place
+def solve_in(
+    programme: tuple[Array, ...], memory: tuple[Array, Array, Array, NDArray[np.int64]]
+) -> tuple[int, int]:
+    """Call `active_set` from Python: plain tuples, whose type numba knows at once.
+
+    Args:
+        programme: The fields of a Qp.
+        memory: Of `solver_memory`; it may be used again.
+
+    Returns:
+        How many rows entered, and the status.
+    """
+    x, multipliers, numbers, used = memory
+    for i in range(len(multipliers)):
+        multipliers[i] = 0.0
+    return active_set(Qp(*programme), x, multipliers, Scratch(numbers, used))
 
 
 def solver_numbers(m: int, n: int) -> int:

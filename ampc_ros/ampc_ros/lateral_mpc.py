@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.path import NOT_CAUGHT, Path
 from ampc_msgs_config.path_frame import path_frame
-from ampc_msgs_config.types import Command, VehicleState
+from ampc_msgs_config.types import Command, Diagnosis, VehicleState
 from ampc_ros.belief import Belief, belief_row, believed
 from ampc_ros.gain_table import GainTable
-from ampc_ros.paper_tick import INDEX, KNOWN, STEERING, new_memory, paper_tick
+from ampc_ros.paper_tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
 from ampc_ros.programme import check_conditioning, scratch_numbers
 from ampc_ros.small_matrices import make_scratch
 
@@ -69,12 +69,13 @@ class LateralMpc:
         """
         if path is not self.path:
             self._take_path(path)
-        answer = paper_tick(
-            self.numbers, self.table, path, self.frame, state, self.memory, self.scratch
+        table, scratch = tuple(self.table), tuple(self.scratch)
+        steering, rate, diagnosis = paper_answer(
+            self.numbers, table, self.road, tuple(state), self.memory, scratch
         )
-        return Command(state.stamp_ns, *answer)
+        return Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
 
     def _take_path(self, path: Path) -> None:
         """Follow a new path: new inertial frame, increments start anew, the angle is kept."""
-        self.frame, self.path = path_frame(path), path
+        self.road, self.path = (tuple(path), tuple(path_frame(path))), path
         self.memory[KNOWN], self.memory[INDEX] = 0.0, NOT_CAUGHT

@@ -6,10 +6,10 @@ import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import NOT_CAUGHT, Array, Path
-from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.belief import Belief, belief_row, believed
 from ampc_ros.gain_table import GainTable
-from ampc_ros.preview_tick import INDEX, STATE_DELTA, new_memory, preview_tick
+from ampc_ros.preview_tick import INDEX, STATE_DELTA, new_memory, preview_answer
 from ampc_ros.programme import scratch_numbers
 from ampc_ros.small_matrices import make_scratch
 
@@ -68,13 +68,15 @@ class PreviewMpc:
         last_ns, self.last_ns = self.last_ns, state.stamp_ns
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
         points = np.empty((self.horizon, 2))
-        answer = preview_tick(
-            self.numbers, self.table, path, state, elapsed, self.memory, self.scratch, points
+        table, scratch = tuple(self.table), tuple(self.scratch)
+        steering, rate, diagnosis = preview_answer(
+            self.numbers, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
+        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
         if math.isnan(answer.diagnosis.prediction_horizon):
-            return Command(state.stamp_ns, *answer)
+            return answer
         H = int(answer.diagnosis.prediction_horizon) + self.belief.actuator.ticks
-        return Command(state.stamp_ns, *answer, points[:H])
+        return answer._replace(prediction=points[:H])
 
     def observe_steering(self, angle: float) -> None:
         """Take the measured road-wheel angle [rad] in place of the one that the model expects.

@@ -1,7 +1,7 @@
 """One tick of the `preview` formulation in one compiled call: place, lesson, gains, road, plan."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from ampc_msgs_config.types import (
 from ampc_ros.belief import Belief, believed
 from ampc_ros.gain_table import NONE, Gains, Table, look_up
 from ampc_ros.model import DELTA, STATES
-from ampc_ros.paper_tick import Answer
+from ampc_ros.paper_tick import Answer, plain
 from ampc_ros.preview_model import blank_model, sample, side_acceleration, steady_steering
 from ampc_ros.preview_mpc import Past, Plan, Road, preview_plan
 from ampc_ros.qp import SOLVED
@@ -271,3 +271,28 @@ def new_memory(ticks: int) -> Array:
     memory = np.zeros(SENT + ticks + 1)
     memory[INDEX], memory[IN_USE : IN_USE + 2] = NOT_CAUGHT, NONE
     return memory
+
+
+@in_place
+def preview_answer(
+    numbers: Array,
+    table: tuple[Any, ...],
+    path: tuple[Any, ...],
+    state: tuple[Any, ...],
+    elapsed: float,
+    memory: Array,
+    scratch: tuple[Any, ...],
+    predicted: Array,
+) -> tuple[float, float, tuple[float, ...]]:
+    """Call `preview_tick` from Python, with plain tuples; see `paper_answer`."""
+    answer = preview_tick(
+        numbers,
+        Table(*table),
+        Path(*path),
+        VehicleState(*state),
+        elapsed,
+        memory,
+        Scratch(*scratch),
+        predicted,
+    )
+    return answer.steering, answer.rate, plain(answer.diagnosis)
