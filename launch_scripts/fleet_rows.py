@@ -1,13 +1,16 @@
 """From simulations and controllers to the matrices of a fleet, and from its log to drives."""
 
 import math
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.compiled import announced
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.path import NOT_CAUGHT
 from ampc_msgs_config.path_frame import PathFrame, path_frame
@@ -186,7 +189,8 @@ def run(expedition: Expedition, threads: int = 1) -> Array:
     fleet = expedition.fleet
     log = np.full((len(fleet.road), int(fleet.ticks.max()), LOGGED), np.nan)
     parts = [part for part in np.array_split(np.arange(len(log)), threads) if len(part)]
-    with ThreadPoolExecutor(threads) as pool:
+    say = partial(print, file=sys.stderr, flush=True)
+    with ThreadPoolExecutor(threads) as pool, announced("fleet of cars", say):
         slices = [slice(part[0], part[-1] + 1) for part in parts]
         list(pool.map(lambda rows: run_part(expedition, rows, log[rows]), slices))
     return log
