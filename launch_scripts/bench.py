@@ -16,6 +16,7 @@ PARTS = {
     "growth": "launch_scripts.bench_growth",
     "swarm": "launch_scripts.bench_swarm",
     "scaling": "launch_scripts.bench_scaling",
+    "start": "launch_scripts.bench_start",
     "node": "launch_scripts.bench_node_table",
 }
 """Modules whose `measure(quick=...)` gives the tables of a part."""

@@ -44,7 +44,7 @@ def augmented_state(memory: Array, x: tuple[float, float, float, float], out: Ar
     memory[KNOWN] = 1.0
 
 
-@in_place
+@inlined
 def paper_tick(
     numbers: Array,
     table: Table,

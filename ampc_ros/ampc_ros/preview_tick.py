@@ -173,7 +173,7 @@ def put_predicted(path: Path, s: float, speed: Array, lateral: Array, T: float, 
         out[j, 1] = point.y + lateral[j] * math.cos(point.heading)
 
 
-@in_place
+@inlined
 def preview_tick(
     numbers: Array,
     table: Table,
