@@ -67,7 +67,9 @@ SWITCHES = {
     ),
     "plant": Switch("centre of gravity; track", "0.54 m; 1.55 m", "0.35 m; 1.4 m", True),
     "speed": Switch("speed that the controller gets", "measured", "reference", True),
-    "horizon": Switch("N_c", "ends the increments", "does not enter the cost (here N_c = N_p)", True),
+    "horizon": Switch(
+        "N_c", "ends the increments", "does not enter the cost (here N_c = N_p)", True
+    ),
     "solver": Switch(
         "QP solver", "exact, to which Hildreth's method converges", "Hildreth, 38 sweeps", True
     ),
@@ -212,9 +214,7 @@ def numbers(driven: Run) -> dict[str, Any]:
     """Give what the page says of a drive, for JSON."""
     to_cg = driven.vehicle.chassis.cg_to_rear_axle
     period = (driven.drive.states[1].stamp_ns - driven.drive.states[0].stamp_ns) / NANOSECONDS
-    measured = evaluate(
-        driven.drive._replace(solve_time=np.zeros(1)), driven.path, to_cg, period
-    )
+    measured = evaluate(driven.drive._replace(solve_time=np.zeros(1)), driven.path, to_cg, period)
     unsolved = sum(d.converged == 0.0 for d in driven.diagnosis)
     keys = ("mse_m2", "mse_lateral_m2", "max_error_m", "steering_rms_increment_deg")
     return {

@@ -235,8 +235,7 @@ def fragile(found: Found, plan: Plan) -> dict[str, Any]:
     names = ("paper", "pure_pursuit", "preview")
     return {
         what: {
-            n: numbers(run(n, road(name, **changes), found, plan.authors, **unknown))
-            for n in names
+            n: numbers(run(n, road(name, **changes), found, plan.authors, **unknown)) for n in names
         }
         for what, (name, changes, unknown) in FRAGILE.items()
     }

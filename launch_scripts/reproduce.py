@@ -1,0 +1,192 @@
+"""Reproduce the paper: every figure and table that its text describes, in one page.
+
+`python launch_scripts/reproduce.py` writes `page.html`, which needs no network, and `results.json`.
+`--quick` for a first look; `--reading authors_code` or `--switch tyre=authors_code` for what the
+authors' released code does instead of the paper.
+"""
+
+import argparse
+import json
+import math
+import os
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from ampc_msgs_config import __version__
+from launch_scripts.reproduce_cases import SWITCHES, Authors, Run
+from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, YES, claims
+from launch_scripts.reproduce_figures import draw_adaptation, draw_lines, draw_road, draw_sphere
+from launch_scripts.reproduce_measure import Plan, measure, quick, steps
+from launch_scripts.reproduce_page import page
+from launch_scripts.reproduce_search import DISTANCES
+
+READINGS = ("paper", "authors_code")
+
+
+def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("runs/reproduce"), help="folder to write"
+    )
+    parser.add_argument("--reading", choices=READINGS, default="paper", help="of all differences")
+    parser.add_argument("--switch", action="append", default=[], metavar="NAME=READING", help=", ".join(SWITCHES))  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="two roads and a tiny search")
+    parser.add_argument("--sphere-seeds", type=int, help="runs of each swarm; default: 51")
+    chosen = parser.parse_args(arguments)
+    if chosen.sphere_seeds is not None and chosen.sphere_seeds < 1:
+        parser.error(f"--sphere-seeds {chosen.sphere_seeds} must be at least 1")
+    if chosen.output.exists() and not chosen.output.is_dir():
+        parser.error(f"--output {chosen.output} is a file, must be a folder")
+    try:
+        chosen.authors = switched(chosen.reading, chosen.switch)
+    except ValueError as error:
+        parser.error(str(error))
+    return chosen
+
+
+def switched(reading: str, switches: Sequence[str]) -> Authors:
+    """Give the differences that are taken from the authors' code.
+
+    Raises:
+        ValueError: Names a switch that is unknown, or the choice that it does not have.
+    """
+    names = set(SWITCHES) if reading == "authors_code" else set()
+    for item in switches:
+        name, _, choice = item.partition("=")
+        if name not in SWITCHES:
+            raise ValueError(f"--switch {item}: {name!r} must be one of {', '.join(SWITCHES)}")
+        if choice not in READINGS:
+            raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(READINGS)}")
+        (names.add if choice == "authors_code" else names.discard)(name)
+    return frozenset(names)
+
+
+def plan_of(chosen: argparse.Namespace) -> Plan:
+    """Give how much is measured."""
+    plan = quick(chosen.authors) if chosen.quick else Plan(chosen.authors)
+    return plan._replace(sphere_seeds=chosen.sphere_seeds or plan.sphere_seeds)
+
+
+def processor() -> str:
+    """Name the processor, where the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def meta(plan: Plan, arguments: Sequence[str]) -> dict[str, Any]:
+    """Give what is needed to repeat the run."""
+    packages = ("numpy", "numba", "scipy", "matplotlib")
+    return {
+        "command": f"python launch_scripts/reproduce.py {shlex.join(arguments)}".strip(),
+        "authors_code": sorted(plan.authors),
+        "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+        "seeds": f"gains {', '.join(map(str, plan.tuning_seeds))}; swarms 0 to {plan.sphere_seeds - 1}",
+        "version": f"AMPC for ROS 2 {__version__}",
+        "machine": f"{processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}",
+        "Python": platform.python_version(),
+        "packages": ", ".join(f"{name} {version(name)}" for name in packages),
+    }
+
+
+def judged(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the verdicts on the paper's claims, and where pure pursuit beats its controller."""
+    found = [claim._asdict() for claim in claims(dict(results))]
+    better = {
+        road: row["pure_pursuit"]["mse_m2"] < row["paper"]["mse_m2"]
+        for road, row in results["roads"].items()
+    }
+    return {
+        "paper": PAPER,
+        "claims": found,
+        "verdicts": {v: sum(c["verdict"] == v for c in found) for v in (YES, DIRECTION, NO)},
+        "pure_pursuit_beats_ampc": {
+            "on": [road for road, wins in better.items() if wins],
+            "not_on": [road for road, wins in better.items() if not wins],
+        },
+    }
+
+
+def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> dict[str, str]:
+    """Draw all figures."""
+    figures = {road: draw_road(row) for road, row in runs.items()}
+    figures["adaptation"] = draw_adaptation(runs.get("sc3_varying") or runs["sc2"])
+    shown = ("proposed", "linear", "damped", "classic", "Zhan's adaptive")
+    figures["sphere"] = draw_sphere({n: results["sphere"]["curves"][n] for n in shown})
+    histories = {
+        f"{t['model']}, seed {t['seed']}": (list(range(len(t["history_m2"]))), t["history_m2"])
+        for t in results["tuning"]
+        if t["search"] == "paper"
+    }
+    figures["tuning"] = draw_lines(histories, ("generation", "best fitness [m2]"))
+    trials = results["look_ahead"]["trials"]
+    figures["look_ahead"] = draw_lines(
+        {
+            f"at least {d:g} m": tuple(
+                [t[key] for t in trials if t["distance_m"] == d] for key in ("time_s", "fitness_m2")
+            )
+            for d in DISTANCES
+        },
+        ("look-ahead time [s]", "mean MSE [m2]"),
+    )
+    rows = results["sweep"]
+    figures["sweep"] = draw_lines(
+        {
+            road: ([r["R"] for r in rows], [r["mse_m2"][road] for r in rows])
+            for road in rows[0]["mse_m2"]
+        },
+        ("increment weight R", "MSE [m2]"),
+        {"paper's AMPC": PAPER["sc1"]["paper"], "paper's classic": PAPER["sc1"]["classic"]},
+        log_x=True,
+    )
+    return figures
+
+
+def plain(value: Any) -> Any:
+    """Give a value as JSON knows it: no nan, no infinity."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, judge, draw, write."""
+    chosen, console, begin = options(arguments), Console(highlight=False), time.monotonic()
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    plan = plan_of(chosen)
+    with Progress(console=console) as progress:
+        task = progress.add_task("reproducing", total=steps(plan))
+        results, runs = measure(plan, lambda: progress.advance(task))
+    results |= {"meta": meta(plan, given), **judged(results)}
+    figures = draw(results, runs)
+    results["duration_s"] = round(time.monotonic() - begin, 1)
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    (chosen.output / "page.html").write_text(page(results, figures), encoding="utf-8")
+    content = json.dumps(plain(results), indent=1, allow_nan=False) + "\n"
+    (chosen.output / "results.json").write_text(content, encoding="utf-8")
+    for claim in results["claims"]:
+        console.print(f"{claim['verdict']:>14}  {claim['claim']}")
+    console.print(f"{results['duration_s']:.0f} s; written to {chosen.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
