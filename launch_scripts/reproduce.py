@@ -25,9 +25,10 @@ from rich.progress import Progress
 from ampc_msgs_config import __version__
 from launch_scripts.reproduce_cases import SWITCHES, Authors, Run
 from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, YES, claims
-from launch_scripts.reproduce_figures import draw_adaptation, draw_lines, draw_road, draw_sphere
+from launch_scripts.reproduce_figures import draw_adaptation, draw_lines, draw_sphere
 from launch_scripts.reproduce_measure import Plan, measure, quick, steps
 from launch_scripts.reproduce_page import page
+from launch_scripts.reproduce_road_figure import draw_road
 from launch_scripts.reproduce_search import DISTANCES
 
 READINGS = ("paper", "authors_code")
@@ -42,7 +43,13 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--output", type=Path, default=Path("runs/reproduce"), help="folder to write"
     )
     parser.add_argument("--reading", choices=READINGS, default="paper", help="of all differences")
-    parser.add_argument("--switch", action="append", default=[], metavar="NAME=READING", help=", ".join(SWITCHES))  # fmt: skip
+    parser.add_argument(
+        "--switch",
+        action="append",
+        default=[],
+        metavar="NAME=READING",
+        help=f"of one difference, NAME: {', '.join(SWITCHES)}",
+    )
     parser.add_argument("--quick", action="store_true", help="two roads and a tiny search")
     parser.add_argument("--sphere-seeds", type=int, help="runs of each swarm; default: 51")
     chosen = parser.parse_args(arguments)
@@ -97,9 +104,9 @@ def meta(plan: Plan, arguments: Sequence[str]) -> dict[str, Any]:
         "command": f"python launch_scripts/reproduce.py {shlex.join(arguments)}".strip(),
         "authors_code": sorted(plan.authors),
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
-        "seeds": f"gains {', '.join(map(str, plan.tuning_seeds))}; swarms 0 to {plan.sphere_seeds - 1}",
+        "seeds": f"gains {plan.tuning_seeds}, swarms 0 to {plan.sphere_seeds - 1}",
         "version": f"AMPC for ROS 2 {__version__}",
-        "machine": f"{processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}",
+        "machine": f"{processor()}, {os.cpu_count()} cores, {platform.system()}",
         "Python": platform.python_version(),
         "packages": ", ".join(f"{name} {version(name)}" for name in packages),
     }
@@ -112,8 +119,14 @@ def judged(results: Mapping[str, Any]) -> dict[str, Any]:
         road: row["pure_pursuit"]["mse_m2"] < row["paper"]["mse_m2"]
         for road, row in results["roads"].items()
     }
+    held = ("paper", "paper_pso", "paper_one", "classic", "classic_pso")
+    gain = [
+        min(row[name]["mse_m2"] for name in held if name in row) / row["preview"]["mse_m2"]
+        for row in results["roads"].values()
+    ]
     return {
         "paper": PAPER,
+        "preview_gain": [min(gain), max(gain)],
         "claims": found,
         "verdicts": {v: sum(c["verdict"] == v for c in found) for v in (YES, DIRECTION, NO)},
         "pure_pursuit_beats_ampc": {
@@ -132,14 +145,15 @@ def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> d
     histories = {
         f"{t['model']}, seed {t['seed']}": (list(range(len(t["history_m2"]))), t["history_m2"])
         for t in results["tuning"]
-        if t["search"] == "paper"
+        if t["used"]
     }
     figures["tuning"] = draw_lines(histories, ("generation", "best fitness [m2]"))
     trials = results["look_ahead"]["trials"]
     figures["look_ahead"] = draw_lines(
         {
-            f"at least {d:g} m": tuple(
-                [t[key] for t in trials if t["distance_m"] == d] for key in ("time_s", "fitness_m2")
+            f"at least {d:g} m": (
+                [t["time_s"] for t in trials if t["distance_m"] == d],
+                [t["fitness_m2"] for t in trials if t["distance_m"] == d],
             )
             for d in DISTANCES
         },

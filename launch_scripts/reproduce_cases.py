@@ -31,6 +31,14 @@ ROADS = {
     "sc3_wind": "Sc3: varying speed, side wind",
     "sc3_fast_wind": "Sc3 stretched, 18 m/s, side wind",
 }
+SHORT = {
+    "sc1": "Sc1",
+    "sc2": "Sc2",
+    "sc3_constant": "Sc3, 11 m/s",
+    "sc3_varying": "Sc3, varying",
+    "sc3_wind": "Sc3, wind",
+    "sc3_fast_wind": "Sc3, 18 m/s",
+}
 FIXED_SPEED = {road: 9.0 if road in ("sc1", "sc2") else 11.0 for road in ROADS}
 """Speed of a model that does not adapt: that at which the paper's scenario begins [m/s]."""
 CONTENDERS = {

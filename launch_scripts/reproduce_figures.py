@@ -8,25 +8,22 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.path import Array
-from ampc_msgs_config.scenario import speed_at
-from ampc_msgs_config.types import at_distance
-from ampc_msgs_config.wind import wind_at
 from launch_scripts.bench_pso_figure import STYLES, spread
 from launch_scripts.bench_pso_tables import REPORTED
-from launch_scripts.figure import WANTED
 from launch_scripts.pso_yardsticks import GENERATIONS
-from launch_scripts.reproduce_cases import CONTENDERS, LOST, Run
+from launch_scripts.reproduce_cases import CONTENDERS, Run
 
 mpl.use("Agg")
 WIDTH = 6.4
 """Of every figure [inch]."""
-STYLE: dict[str, tuple[str, str]] = {
+STYLE: dict[str, tuple[str, Any]] = {
     "paper": ("#D55E00", "-"),
     "paper_pso": ("#E69F00", "-"),
-    "classic": ("#000000", "--"),
+    "classic": ("#000000", (0, (4, 3))),
     "classic_pso": ("#CC79A7", "-"),
     "pure_pursuit": ("#009E73", "-."),
     "preview": ("#0072B2", "-"),
@@ -39,8 +36,6 @@ FONT: dict[str, Any] = {
     "svg.hashsalt": "reproduce",
 }
 INK = "#222222"
-BOUNDED = ("error", "steering", "yaw_rate")
-"""Panels whose axis follows those who stay on the path."""
 
 
 def svg(figure: Figure) -> str:
@@ -69,7 +64,7 @@ def label_ends(ax: Axes, ends: Mapping[str, float], colors: Mapping[str, str]) -
         for name, end in ends.items()
     }
     place = {name: min(max(height, 0.0), 1.0) for name, height in place.items()}
-    height = ax.figure.get_size_inches()[1] * ax.get_position().height
+    height = ax.get_window_extent().height / ax.figure.dpi
     for name, at in spread(place, 0.16 / max(height, 0.5)).items():
         ax.annotate(
             name,
@@ -88,98 +83,6 @@ def label_ends(ax: Axes, ends: Mapping[str, float], colors: Mapping[str, str]) -
         )
 
 
-def until_lost(driven: Run) -> int:
-    """Give the number of ticks before a car is lost: what it does then is nobody's control."""
-    gone = np.abs(driven.error) > LOST
-    return int(np.argmax(gone)) if gone.any() else len(driven.error)
-
-
-def centre(driven: Run) -> Array:
-    """Give x and y of the centre of gravity (2, n) [m]."""
-    to_cg = driven.vehicle.chassis.cg_to_rear_axle
-    return np.array([at_distance(state, to_cg)[1:3] for state in driven.drive.states]).T
-
-
-def lines(driven: Run) -> dict[str, tuple[Array, Array]]:
-    """Give what is drawn of a drive: by panel, abscissa and ordinate."""
-    n, time = until_lost(driven), ticks(driven.drive)
-    state = np.array([s[1:] for s in driven.drive.states])
-    x, y = centre(driven)
-    curves = {
-        "place": (x, y),
-        "error": (time, driven.error),
-        "steering": (time, np.degrees(driven.drive.steering)),
-        "yaw_rate": (time, np.degrees(state[:, 5])),
-        "speed": (time, state[:, 3]),
-    }
-    return {panel: (a[:n], b[:n]) for panel, (a, b) in curves.items()}
-
-
-PANELS = {
-    "equal": ("Y [m]", 0.55),
-    "place": ("Y [m], stretched", 1.7),
-    "error": ("cross-track error [m]", 1.7),
-    "steering": ("steering [deg]", 1.5),
-    "yaw_rate": ("yaw rate [deg/s]", 1.5),
-    "speed": ("speed [m/s]", 1.2),
-}
-
-
-def draw_road(runs: Mapping[str, Run]) -> str:
-    """Draw a scenario: path, error, steering, yaw rate, speed, and wind where it blows."""
-    shown = {name: driven for name, driven in runs.items() if name in STYLE}
-    scenario = next(iter(shown.values())).scenario
-    panels = dict(PANELS) | ({"wind": ("side wind [m/s]", 1.0)} if scenario.wind else {})
-    figure, axes = stack([height for _, height in panels.values()])
-    by_name = dict(zip(panels, axes, strict=True))
-    for name, (label, _) in panels.items():
-        by_name[name].set_ylabel(label)
-    _wanted(by_name, shown)
-    curves = {name: lines(driven) for name, driven in shown.items()}
-    for name, panel_lines in curves.items():
-        color, line = STYLE[name]
-        for panel, (a, b) in panel_lines.items():
-            by_name[panel].plot(a, b, line, color=color, linewidth=1.3)
-            if until_lost(shown[name]) < len(shown[name].error):
-                by_name[panel].plot(a[-1], b[-1], "x", color=color, markersize=8, mew=2)
-        by_name["equal"].plot(*panel_lines["place"], line, color=color, linewidth=0.9)
-    _finish(by_name, shown, curves)
-    return svg(figure)
-
-
-def _wanted(axes: Mapping[str, Axes], shown: Mapping[str, Run]) -> None:
-    driven = next(iter(shown.values()))
-    end, time = max(float(centre(d)[0].max()) for d in shown.values()), ticks(driven.drive)
-    seen = driven.path.x <= end
-    for name in ("equal", "place"):
-        axes[name].plot(driven.path.x[seen], driven.path.y[seen], zorder=0, **WANTED)
-    target = [speed_at(driven.scenario.speed, float(t)) for t in time]
-    axes["speed"].plot(time, target, zorder=0, **WANTED)
-    if "wind" in axes:
-        axes["wind"].plot(time, wind_at(driven.scenario.wind, time)[:, 1], color=INK)
-
-
-def _finish(axes: Mapping[str, Axes], shown: Mapping[str, Run], curves: Mapping[str, Any]) -> None:
-    driven = next(iter(shown.values()))
-    low, high = float(driven.path.y.min()) - 3.0, float(driven.path.y.max()) + 3.0
-    axes["equal"].set_aspect("equal", adjustable="datalim")
-    axes["equal"].set_title("true proportions", fontsize=8, loc="left")
-    axes["place"].set_ylim(low, high)
-    axes["place"].set_xlabel("X [m]")
-    kept = [name for name, d in shown.items() if until_lost(d) == len(d.error)]
-    for panel in BOUNDED:
-        most = max((float(np.abs(curves[name][panel][1]).max()) for name in kept), default=LOST)
-        axes[panel].set_ylim(-1.15 * most, 1.15 * most)
-    axes["speed"].set_ylim(0.0, None)
-    list(axes.values())[-1].set_xlabel("time [s]")
-    axes["place"].figure.draw_without_rendering()
-    colors = {CONTENDERS[name]: STYLE[name][0] for name in shown}
-    for panel in ("place", *BOUNDED):
-        named = kept if panel in BOUNDED else list(shown)
-        ends = {CONTENDERS[name]: float(curves[name][panel][1][-1]) for name in named}
-        label_ends(axes[panel], ends, colors)
-
-
 def draw_adaptation(runs: Mapping[str, Run]) -> str:
     """Draw which gains were in use: horizons and terms, then Q / R."""
     figure, axes = stack([1.5, 1.3, 1.3, 1.5])
@@ -195,11 +98,11 @@ def draw_adaptation(runs: Mapping[str, Run]) -> str:
         time = ticks(driven.drive)
         for ax, (field, label) in zip(axes, fields, strict=False):
             values = np.array([getattr(d, field) for d in driven.diagnosis])
-            ax.plot(time, values, line, color=color, drawstyle="steps-post")
+            ax.plot(time, values, linestyle=line, color=color, drawstyle="steps-post")
             ax.set_ylabel(label)
             last[label.split()[0]][CONTENDERS[name]] = float(values[-1])
         ratio = np.array([d.output_weight / d.increment_weight for d in driven.diagnosis])
-        axes[3].plot(time, ratio, line, color=color)
+        axes[3].plot(time, ratio, linestyle=line, color=color)
         last["ratio"][CONTENDERS[name]] = float(ratio[-1])
     axes[3].set_yscale("log")
     axes[3].set_ylabel("Q / R")
@@ -246,6 +149,8 @@ def draw_lines(
     palette = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
     colors = dict(zip((*curves, *(levels or {})), palette * 2, strict=False))
     ax.set_yscale("log")
+    ax.yaxis.set_major_formatter(LogFormatter())
+    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
     if log_x:
         ax.set_xscale("log")
     for name, (a, b) in curves.items():

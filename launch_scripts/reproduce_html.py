@@ -3,7 +3,6 @@
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import NamedTuple
 
 Part = str | float
 Parts = Sequence[Part]
@@ -13,12 +12,11 @@ class Html(str):
     """Text that is HTML already."""
 
 
-def num(value: float, pattern: str = ".3g") -> Html:
+def num(value: float, pattern: str = "") -> Html:
     """Give a measured number; its element carries the exact value, as `results.json` does."""
-    shown = format(value, pattern)
-    if "e" in shown:
-        mantissa, exponent = shown.split("e")
-        shown = f"{mantissa}e{int(exponent)}"
+    shown = format(value, pattern or ("d" if isinstance(value, int) else "#.3g"))
+    mantissa, e, exponent = shown.partition("e")
+    shown = mantissa.rstrip(".") + (f"e{int(exponent)}" if e else "")
     return Html(f'<data value="{value!r}">{shown}</data>')
 
 
@@ -65,8 +63,8 @@ def table(
     body = "".join(f"<tr>{_row(heads, row, style)}</tr>\n" for row in rows)
     kind = ' class="cards"' if cards else ""
     return Html(
-        f'<div class="scroll"><table{kind}>\n<caption>{text(caption)}</caption>\n'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n"
+        f'<div class="scroll"><table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n'
+        f'{body}</tbody></table></div>\n<p class="caption">{text(caption)}</p>\n'
     )
 
 

@@ -71,14 +71,14 @@ def mean_square(drive: Drive, scenario: Scenario, to_cg: float, period: float) -
 def tune_look_ahead(roads: Sequence[str], authors: Authors) -> tuple[Found, list[dict[str, Any]]]:
     """Try all look-aheads of the grid; gives the best, and every trial."""
     table3 = load_gain_table("table3").nodes[0]
-    scenarios, trials = [road(name) for name in roads], []
+    scenarios, trials = [road(name) for name in roads], list[dict[str, Any]]()
     for pair in product(TIMES, DISTANCES):
         found = Found(pair, table3, table3)
         drives = [run("pure_pursuit", scenario, found, authors) for scenario in scenarios]
         mse = {s.name: float(np.mean(d.error**2)) for s, d in zip(scenarios, drives, strict=True)}
         fitness = geometric_mean(list(mse.values()))
         trials.append({"time_s": pair[0], "distance_m": pair[1], "fitness_m2": fitness, "mse": mse})
-    best = min(trials, key=lambda trial: trial["fitness_m2"])
+    best = min(trials, key=lambda trial: float(trial["fitness_m2"]))
     return Found((best["time_s"], best["distance_m"]), table3, table3), trials
 
 

@@ -3,19 +3,19 @@
 from collections.abc import Mapping
 from typing import Any
 
-from launch_scripts.reproduce_cases import CONTENDERS, SWITCHES
-from launch_scripts.reproduce_html import Html, figure, items, num, paragraph, table, text
+from launch_scripts.reproduce_cases import CONTENDERS, SHORT, SWITCHES
+from launch_scripts.reproduce_html import Html, figure, items, num, paragraph, table
 
 NOT_SWITCHED = (
     "Table over speed, reference, friction and wind (4235 cells): friction and wind are not "
     "measured by any sensor of the paper; our tables have speed and reference.",
     "Constraints on the outputs of the first move only: Table 3 bounds no outputs.",
-    "The solution that Hildreth\u2019s method has after 38 sweeps is applied by the authors as it is, "
-    "converged or not; our controller holds the angle instead, so the row \u201csolver\u201d is a "
-    "drive with held angles.",
-    "Their wind law (side coefficient 3 beta, moment beta, table clamped at 0.3 rad), the longitudinal "
-    "driver PI(100, 1) and the wheels\u2019 spin: our plant has side area, a driver without "
-    "lag, no spinning wheels. At clamped angles their wind is weaker than ours.",
+    "The solution that Hildreth\u2019s method has after 38 sweeps is applied by the authors as it "
+    "is, converged or not; our controller holds the angle instead, so the row \u201csolver\u201d "
+    "is a drive with held angles.",
+    "Their wind law (side coefficient 3 beta, moment beta, table clamped at 0.3 rad), the "
+    "longitudinal driver PI(100, 1) and the wheels\u2019 spin: our plant has side area, a driver "
+    "without lag, no spinning wheels. At clamped angles their wind is weaker than ours.",
 )
 
 
@@ -23,16 +23,18 @@ def tuning_section(results: Mapping[str, Any], figures: Mapping[str, str]) -> Ht
     """Give the search for gains, for the look-ahead, and the sweep of R."""
     return Html(
         paragraph(
-            "To tell adaptation from effort of tuning, the paper\u2019s swarm tunes one set of gains "
-            "for a model that follows the speed and one for a model that does not. Fitness is the "
-            "geometric mean of the MSE on the roads in the table; all other roads are held out."
+            "To tell adaptation from effort of tuning, the paper\u2019s swarm tunes one set of "
+            "gains for a model that follows the speed and one for a model that does not. Fitness "
+            "is the geometric mean of the MSE on the roads in the table; all other roads are held "
+            "out."
         )
         + gain_table(results)
         + figure(
             figures["tuning"],
             [
-                "Best fitness over the generations. The swarm gains little over its first, random "
-                "generation: the held set-point, not the gains, limits the result."
+                "Best fitness over the generations. The swarm improves on its first, random "
+                "generation by a fraction, not by orders of magnitude: the held set-point, not the "
+                "gains, limits the result."
             ],
             "Fitness over generations.",
         )
@@ -44,9 +46,9 @@ def tuning_section(results: Mapping[str, Any], figures: Mapping[str, str]) -> Ht
             [
                 "MSE of the AMPC over the increment weight R, all else from Table 3, and the "
                 "paper\u2019s numbers for Sc1 as dotted lines. Below about 1 the error no longer "
-                "falls: what is left belongs to the held set-point. Both of the paper\u2019s numbers "
-                "can be had with the same controller, from two weights: at constant speed its "
-                "comparison is one of gains."
+                "falls: what is left belongs to the held set-point. Both of the paper\u2019s "
+                "numbers can be had with the same controller, from two weights: at constant speed "
+                "its comparison is one of gains."
             ],
             "MSE over R.",
         )
@@ -60,24 +62,27 @@ def gain_table(results: Mapping[str, Any]) -> Html:
         gains = found["gains"]
         rows.append(
             (
-                f"{found['model']} model",
-                text(f"{found['search'].replace('_', ' ')}, seed ") + num(found["seed"]),
+                [
+                    f"{found['model']}, ",
+                    "authors\u2019 " if found["search"] == "authors_code" else "",
+                    "seed ",
+                    num(found["seed"]),
+                ],
                 num(found["evaluations"]),
                 *(num(gains[key]) for key in gains),
                 num(found["fitness_m2"]),
                 *(num(value) for value in found["mse_m2"].values()),
             )
         )
-    task = [name.replace("_", " ") for name in results["tuning"][0]["mse_m2"]]
-    heads = ("", "search", "drives", "N_p", "N_c", "N", "alpha", "Q", "R", "fitness", *task)
-    cells = [tuple(Html(c) if isinstance(c, Html) else c for c in row) for row in rows]
+    task = [SHORT[name] for name in results["tuning"][0]["mse_m2"]]
+    heads = ("model", "tried", "N_p", "N_c", "N", "alpha", "Q", "R", "fitness", *task)
     return table(
         heads,
-        cells,
+        rows,
         [
             "Gains found, fitness, and MSE [m2] on the roads. Equal fitness from very different "
-            "gains: the optimum is not identifiable. The search of the authors\u2019 code has another "
-            "fitness (a step), other bounds and sizes."
+            "gains: the optimum is not identifiable. The search of the authors\u2019 code has "
+            "another fitness (a step), other bounds and sizes."
         ],
     )
 
@@ -88,7 +93,7 @@ def look_ahead(results: Mapping[str, Any], figures: Mapping[str, str]) -> Html:
     best, alone = found["best"], found["best_alone"]
     single = [
         [
-            f"{road.replace('_', ' ')} alone: ",
+            f"{SHORT[road]}: ",
             num(trial["time_s"]),
             " s, at least ",
             num(trial["distance_m"]),
@@ -112,7 +117,7 @@ def look_ahead(results: Mapping[str, Any], figures: Mapping[str, str]) -> Html:
             figures["look_ahead"],
             [
                 "Geometric mean of the MSE over the look-ahead time: too short swings, too long "
-                "cuts corners."
+                "cuts corners, and in between is a range of good values."
             ],
             "Fitness over look-ahead time.",
         )
@@ -162,7 +167,8 @@ def pso_section(results: Mapping[str, Any], figures: Mapping[str, str]) -> Html:
             ways,
             [
                 "The paper shows 41 generations, but its Table 2 has G = 15; it names neither "
-                "velocity clamp nor boundary rule. \u201cauthors code\u201d has their slip in c_1, c_2."
+                "velocity clamp nor boundary rule. \u201cauthors code\u201d has their slip in "
+                "c_1, c_2."
             ],
         )
     )
@@ -182,8 +188,7 @@ def switch_section(results: Mapping[str, Any]) -> Html:
     ]
     roads = list(results["roads"])
     rows = []
-    base = {r: {n: results["roads"][r][n] for n in ("paper", "classic")} for r in roads}
-    for switch, row in {"none (as above)": base, **results["switches"]}.items():
+    for switch, row in results["switches"].items():
         for name in ("paper", "classic"):
             cells = []
             for road in roads:
@@ -202,10 +207,11 @@ def switch_section(results: Mapping[str, Any]) -> Html:
             cards=True,
         )
         + table(
-            ("MSE [m2]", *(road.replace("_", " ") for road in roads)),
+            ("MSE [m2]", *(SHORT[road] for road in roads)),
             rows,
             [
-                "One difference at a time taken from the authors\u2019 code, then all that change a drive."
+                "One difference at a time taken from the authors\u2019 code, then all that change "
+                "a drive."
             ],
         )
         + paragraph("Not switched, and why:")

@@ -14,7 +14,7 @@ setup(
     python_requires=">=3.10",
     packages=[PACKAGE],
     package_dir={PACKAGE: "."},  # the modules are plain scripts at the root of this folder
-    package_data={PACKAGE: ["fastdds.xml"]},
+    package_data={PACKAGE: ["fastdds.xml", "reproduce.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
