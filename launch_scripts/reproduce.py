@@ -19,18 +19,27 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
-from launch_scripts.reproduce_cases import SWITCHES, Authors, Run
+from launch_scripts.reproduce_cases import SHORT, SWITCHES, Authors, Run
 from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, YES, claims
-from launch_scripts.reproduce_figures import draw_adaptation, draw_lines, draw_sphere
+from launch_scripts.reproduce_figures import (
+    draw_adaptation,
+    draw_lines,
+    draw_sphere,
+    save_png,
+    svg,
+)
 from launch_scripts.reproduce_measure import Plan, measure, quick, steps
 from launch_scripts.reproduce_page import page
 from launch_scripts.reproduce_road_figure import draw_road
 from launch_scripts.reproduce_search import DISTANCES
 
+PICTURES = ("sc2", "sweep", "sphere")
+"""Figures that the documentation shows."""
 READINGS = ("paper", "authors_code")
 
 
@@ -51,12 +60,15 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help=f"of one difference, NAME: {', '.join(SWITCHES)}",
     )
     parser.add_argument("--quick", action="store_true", help="two roads and a tiny search")
+    parser.add_argument("--pictures", type=Path, help="folder for PNG files of some figures")
     parser.add_argument("--sphere-seeds", type=int, help="runs of each swarm; default: 51")
     chosen = parser.parse_args(arguments)
     if chosen.sphere_seeds is not None and chosen.sphere_seeds < 1:
         parser.error(f"--sphere-seeds {chosen.sphere_seeds} must be at least 1")
-    if chosen.output.exists() and not chosen.output.is_dir():
-        parser.error(f"--output {chosen.output} is a file, must be a folder")
+    for name in ("output", "pictures"):
+        folder = getattr(chosen, name)
+        if folder is not None and folder.exists() and not folder.is_dir():
+            parser.error(f"--{name} {folder} is a file, must be a folder")
     try:
         chosen.authors = switched(chosen.reading, chosen.switch)
     except ValueError as error:
@@ -103,6 +115,7 @@ def meta(plan: Plan, arguments: Sequence[str]) -> dict[str, Any]:
     return {
         "command": f"python launch_scripts/reproduce.py {shlex.join(arguments)}".strip(),
         "authors_code": sorted(plan.authors),
+        "quick": plan == quick(plan.authors)._replace(sphere_seeds=plan.sphere_seeds),
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "seeds": f"gains {plan.tuning_seeds}, swarms 0 to {plan.sphere_seeds - 1}",
         "version": f"AMPC for ROS 2 {__version__}",
@@ -136,7 +149,7 @@ def judged(results: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> dict[str, str]:
+def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Figure]:
     """Draw all figures."""
     figures = {road: draw_road(row) for road, row in runs.items()}
     figures["adaptation"] = draw_adaptation(runs.get("sc3_varying") or runs["sc2"])
@@ -147,7 +160,7 @@ def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> d
         for t in results["tuning"]
         if t["used"]
     }
-    figures["tuning"] = draw_lines(histories, ("generation", "best fitness [m2]"))
+    figures["tuning"] = draw_lines(histories, ("generation", "best fitness [m\u00b2]"))
     trials = results["look_ahead"]["trials"]
     figures["look_ahead"] = draw_lines(
         {
@@ -157,15 +170,15 @@ def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> d
             )
             for d in DISTANCES
         },
-        ("look-ahead time [s]", "mean MSE [m2]"),
+        ("look-ahead time [s]", "mean MSE [m\u00b2]"),
     )
     rows = results["sweep"]
     figures["sweep"] = draw_lines(
         {
-            road: ([r["R"] for r in rows], [r["mse_m2"][road] for r in rows])
+            SHORT[road]: ([r["R"] for r in rows], [r["mse_m2"][road] for r in rows])
             for road in rows[0]["mse_m2"]
         },
-        ("increment weight R", "MSE [m2]"),
+        ("increment weight R", "MSE [m\u00b2]"),
         {"paper's AMPC": PAPER["sc1"]["paper"], "paper's classic": PAPER["sc1"]["classic"]},
         log_x=True,
     )
@@ -193,7 +206,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     figures = draw(results, runs)
     results["duration_s"] = round(time.monotonic() - begin, 1)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    (chosen.output / "page.html").write_text(page(results, figures), encoding="utf-8")
+    text = page(results, {name: svg(figure) for name, figure in figures.items()})
+    (chosen.output / "page.html").write_text(text, encoding="utf-8")
+    if chosen.pictures:
+        chosen.pictures.mkdir(parents=True, exist_ok=True)
+        for name in PICTURES:
+            save_png(figures[name], chosen.pictures / f"reproduce_{name}.png")
     content = json.dumps(plain(results), indent=1, allow_nan=False) + "\n"
     (chosen.output / "results.json").write_text(content, encoding="utf-8")
     for claim in results["claims"]:

@@ -55,6 +55,10 @@ def ratio_claim(results: dict[str, Any], road: str, other: str, words: str, why:
     paper = PAPER[road][other] / PAPER[road]["paper"]
     lost = bool(results["roads"][road][other]["lost"])
     here: Text = ["MSE ratio ", its / own, "; the other car is lost" if lost else ""]
+    if lost and "tyre" in results["switches"]:
+        linear = results["switches"]["tyre"][road]
+        ratio = linear[other]["mse_m2"] / linear["paper"]["mse_m2"]
+        here += ["; ", ratio, " with the authors\u2019 linear tyre"]
     verdict = ratio_verdict(its / own, paper, lost)
     return Claim(words, ["MSE ratio ", paper], here, verdict, why)
 
@@ -62,8 +66,8 @@ def ratio_claim(results: dict[str, Any], road: str, other: str, words: str, why:
 def sphere_claim(results: dict[str, Any]) -> Claim:
     """Judge the order on the sphere function."""
     median = {name: results["sphere"]["final"]["sphere, n = 5"][name][1] for name in CLAIMED}
-    here: Text = [part for name in CLAIMED for part in (f" {name} ", median[name])]
-    reported: Text = [part for name in CLAIMED for part in (f" {name} ", REPORTED[name])]
+    here: Text = [part for name in CLAIMED for part in (f" {name}\u00a0", median[name])]
+    reported: Text = [part for name in CLAIMED for part in (f" {name}\u00a0", REPORTED[name])]
     verdict = YES if all(bar.holds for bar in bars(median)) else NO
     why = (
         "Only with a schedule far longer than the 41 generations shown, no velocity clamp and 5 "
@@ -75,7 +79,7 @@ def sphere_claim(results: dict[str, Any]) -> Claim:
 def sc2_claim(results: dict[str, Any]) -> Claim:
     """Judge the claim that pure pursuit fails on Sc2."""
     found = results["roads"]["sc2"]["pure_pursuit"]
-    here: Text = ["largest error ", found["max_error_m"], " m, MSE ", found["mse_m2"], " m2"]
+    here: Text = ["largest error ", found["max_error_m"], " m, MSE ", found["mse_m2"], " m\u00b2"]
     why = (
         "With a look-ahead from a grid search it stays on the path, though worse than the AMPC "
         "here. The paper does not state its look-ahead."

@@ -2,13 +2,14 @@
 
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.path import Array
@@ -44,6 +45,12 @@ def svg(figure: Figure) -> str:
     with mpl.rc_context(FONT):
         figure.savefig(file, format="svg", metadata={"Date": None})
     return file.getvalue()
+
+
+def save_png(figure: Figure, file: Path) -> None:
+    """Write a figure for a document."""
+    with mpl.rc_context(FONT):
+        figure.savefig(file, dpi=120)
 
 
 def stack(heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
@@ -83,7 +90,7 @@ def label_ends(ax: Axes, ends: Mapping[str, float], colors: Mapping[str, str]) -
         )
 
 
-def draw_adaptation(runs: Mapping[str, Run]) -> str:
+def draw_adaptation(runs: Mapping[str, Run]) -> Figure:
     """Draw which gains were in use: horizons and terms, then Q / R."""
     figure, axes = stack([1.5, 1.3, 1.3, 1.5])
     fields = (
@@ -113,10 +120,10 @@ def draw_adaptation(runs: Mapping[str, Run]) -> str:
     colors = {CONTENDERS[name]: STYLE[name][0] for name in shown}
     for ax, ends in zip(axes, last.values(), strict=True):
         label_ends(ax, ends, colors)
-    return svg(figure)
+    return figure
 
 
-def draw_sphere(curves: Mapping[str, Array]) -> str:
+def draw_sphere(curves: Mapping[str, Array]) -> Figure:
     """Draw medians and quartiles of the best value over the generations, and the paper's."""
     figure, (ax,) = stack([3.4])
     ax.set_yscale("log")
@@ -135,7 +142,7 @@ def draw_sphere(curves: Mapping[str, Array]) -> str:
     ax.set_ylabel("best value so far")
     figure.draw_without_rendering()
     label_ends(ax, ends, {name: STYLES[name][0] for name in curves})
-    return svg(figure)
+    return figure
 
 
 def draw_lines(
@@ -143,14 +150,15 @@ def draw_lines(
     labels: tuple[str, str],
     levels: Mapping[str, float] | None = None,
     log_x: bool = False,
-) -> str:
+) -> Figure:
     """Draw some labelled curves on a logarithmic axis, and levels to compare them with."""
     figure, (ax,) = stack([2.6])
     palette = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
     colors = dict(zip((*curves, *(levels or {})), palette * 2, strict=False))
     ax.set_yscale("log")
-    ax.yaxis.set_major_formatter(LogFormatter())
-    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
     if log_x:
         ax.set_xscale("log")
     for name, (a, b) in curves.items():
@@ -162,4 +170,4 @@ def draw_lines(
     figure.draw_without_rendering()
     ends = {name: float(b[-1]) for name, (_, b) in curves.items()} | dict(levels or {})
     label_ends(ax, ends, colors)
-    return svg(figure)
+    return figure

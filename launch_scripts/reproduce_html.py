@@ -1,8 +1,9 @@
 """Pieces of HTML: measured numbers, tables, figures."""
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from typing import Any
 
 Part = str | float
 Parts = Sequence[Part]
@@ -12,11 +13,19 @@ class Html(str):
     """Text that is HTML already."""
 
 
+def seen(results: Mapping[str, Any], words: str) -> str:
+    """Give words that say what was seen in a full run of the paper's reading; else nothing."""
+    meta = results["meta"]
+    return "" if meta["quick"] or meta["authors_code"] else words
+
+
 def num(value: float, pattern: str = "") -> Html:
     """Give a measured number; its element carries the exact value, as `results.json` does."""
     shown = format(value, pattern or ("d" if isinstance(value, int) else "#.3g"))
     mantissa, e, exponent = shown.partition("e")
     shown = mantissa.rstrip(".") + (f"e{int(exponent)}" if e else "")
+    if e and int(exponent) > 0:
+        shown = f"{float(shown):,.0f}"
     return Html(f'<data value="{value!r}">{shown}</data>')
 
 

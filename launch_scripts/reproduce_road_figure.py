@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.path import Array
@@ -13,7 +14,7 @@ from ampc_msgs_config.types import at_distance
 from ampc_msgs_config.wind import wind_at
 from launch_scripts.figure import WANTED
 from launch_scripts.reproduce_cases import CONTENDERS, LOST, Run
-from launch_scripts.reproduce_figures import INK, STYLE, label_ends, stack, svg
+from launch_scripts.reproduce_figures import INK, STYLE, label_ends, stack
 
 BOUNDED = ("error", "steering", "yaw_rate")
 """Panels whose axis follows those who stay on the path."""
@@ -56,7 +57,7 @@ PANELS = {
 }
 
 
-def draw_road(runs: Mapping[str, Run]) -> str:
+def draw_road(runs: Mapping[str, Run]) -> Figure:
     """Draw a scenario: path, error, steering, yaw rate, speed, and wind where it blows."""
     shown = {name: driven for name, driven in runs.items() if name in STYLE}
     scenario = next(iter(shown.values())).scenario
@@ -80,7 +81,7 @@ def draw_road(runs: Mapping[str, Run]) -> str:
     kept = _finish(by_name, shown, curves)
     figure.draw_without_rendering()
     _label(by_name, shown, curves, kept)
-    return svg(figure)
+    return figure
 
 
 def _wanted(axes: Mapping[str, Axes], shown: Mapping[str, Run]) -> None:

@@ -1,6 +1,7 @@
 """Searches of the reproduction: a fair look-ahead, the best single gains, and a sweep of R."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import Drive, errors
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario
@@ -27,7 +29,7 @@ from launch_scripts.reproduce_cases import (
     single,
 )
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle
 
 TASK = ("sc1", "sc2", "sc3_varying")
 """What gains and look-ahead are tuned on; the other roads are held out."""
@@ -112,39 +114,54 @@ def step_road() -> Scenario:
     return road("straight", start_offset=-3.5)
 
 
-def fitness_of(fixed: bool, roads: Sequence[str], authors: Authors) -> Callable[[Array], Array]:
-    """Give the fitness of a generation (n, 6) of gains [m^2]."""
-    stepping = "fitness" in authors
-    scenarios = [step_road()] if stepping else [road(name) for name in roads]
-    plant = plant_vehicle(authors)
-    chassis = load_vehicle(find("vehicles", "paper")).chassis
-    speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
-    settings = [settings_of(speed, authors) for speed in speeds]
+class Task(NamedTuple):
+    """What gains are judged on."""
 
-    def entries(gains: Gains) -> list[Entry]:
-        table = single(gains, authors)
+    plant: Vehicle
+    scenarios: list[Scenario]
+    settings: list[ControllerSettings]
+    """Of the controller, for each scenario."""
+    authors: Authors
+
+    def entries(self, gains: Gains) -> list[Entry]:
+        """Give a car for each scenario; refuses gains that are numerically singular."""
+        chassis, table = (
+            load_vehicle(find("vehicles", "paper")).chassis,
+            single(gains, self.authors),
+        )
         return [
-            Entry(Simulation(plant, scenario), LateralMpc(chassis, chosen, table))
-            for scenario, chosen in zip(scenarios, settings, strict=True)
+            Entry(Simulation(self.plant, scenario), LateralMpc(chassis, chosen, table))
+            for scenario, chosen in zip(self.scenarios, self.settings, strict=True)
         ]
 
+
+def fitness_of(fixed: bool, roads: Sequence[str], authors: Authors) -> Callable[[Array], Array]:
+    """Give the fitness of a generation (n, 6) of gains [m^2]; infinite where they are singular."""
+    stepping = "fitness" in authors
+    scenarios = [step_road()] if stepping else [road(name) for name in roads]
+    speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
+    settings = [settings_of(speed, authors) for speed in speeds]
+    task = Task(plant_vehicle(authors), scenarios, settings, authors)
+
     def fitness(positions: Array) -> Array:
-        result, cars = np.full(len(positions), np.inf), {}
+        result, cars = np.full(len(positions), np.inf), dict[int, list[Entry]]()
         for k, position in enumerate(positions):
-            try:
-                cars[k] = entries(gains_of(position))
-            except ValueError:  # numerically singular
-                continue
-        drives = iter(drive_all([e for row in cars.values() for e in row], 2, GIVEN_UP))
+            with suppress(ValueError):
+                cars[k] = task.entries(gains_of(position))
+        everybody = [entry for row in cars.values() for entry in row]
+        drives = iter(drive_all(everybody, 2, GIVEN_UP) if everybody else [])
         for k, row in cars.items():
-            errors_of = [
-                mean_square(next(drives), e.simulation.scenario, chassis.cg_to_rear_axle, 0.1)
-                for e in row
-            ]
-            result[k] = geometric_mean(errors_of)
+            result[k] = geometric_mean([judge(next(drives), entry) for entry in row])
         return result
 
     return fitness
+
+
+def judge(drive: Drive, entry: Entry) -> float:
+    """Give the MSE of one car of the fleet [m^2]."""
+    simulation, period = entry.simulation, entry.controller.period
+    to_cg = simulation.vehicle.chassis.cg_to_rear_axle
+    return mean_square(drive, simulation.scenario, to_cg, period)
 
 
 def tune(
