@@ -133,7 +133,8 @@ def claim_table(results: Mapping[str, Any]) -> Html:
     ]
     caption = (
         "AMPC: adaptive MPC with the gains of the paper\u2019s Table 3. \u201cyes\u201d: same "
-        "direction, and a ratio of errors within a factor of 1.5 of the paper\u2019s. "
+        "direction, and a ratio of errors within a factor of 1.5 of the paper\u2019s; an order or "
+        "a fact holds. "
         "\u201cdirection only\u201d: at least 1.1 times smaller, but of another size, or the other "
         "car is lost, so that its error has no meaning."
     )
