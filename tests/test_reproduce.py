@@ -34,6 +34,7 @@ from launch_scripts.reproduce_claims import (
     YES,
     claims,
     ratio_verdict,
+    tuned_claim,
     wind_claim,
 )
 from launch_scripts.reproduce_figures import STYLE
@@ -240,6 +241,16 @@ def test_claims_about_roads_that_were_not_driven_are_left_out(results: dict[str,
     found = claims(results)
     assert [claim._asdict() for claim in found] == results["claims"]
     assert not [claim for claim in found if "Sc3," in claim.claim]
+
+
+def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) -> None:
+    worse = {
+        road: {**row, "paper_pso": {**row["paper"], "mse_m2": 2 * row["paper"]["mse_m2"]}}
+        for road, row in results["roads"].items()
+    }
+    judged = tuned_claim({**results, "roads": worse})
+    assert judged.verdict == NO
+    assert judged.here[:4] == ["MSE of Table 3 over MSE tuned:", " table ", 0.5, " to "]
 
 
 def test_a_drive_that_was_given_up_counts_to_its_end() -> None:
