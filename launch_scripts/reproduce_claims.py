@@ -125,9 +125,9 @@ def tuned_claim(results: dict[str, Any]) -> Claim:
         for name, words in (("paper_pso", "table"), ("paper_one", "one set"))
         if name in next(iter(roads.values()))
     }
-    here: Text = ["MSE of Table 3 over MSE tuned:"]
+    here: Text = ["MSE of Table 3 over MSE tuned"]
     for words, values in ratios.items():
-        here += [f" {words} ", min(values), " to ", max(values), ";"]
+        here += [f", {words}: ", min(values), " to ", max(values)]
     judged = next(iter(ratios.values()))
     verdict = YES if min(judged) >= BETTER else DIRECTION if max(judged) >= BETTER else NO
     why = (

@@ -250,7 +250,7 @@ def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) 
     }
     judged = tuned_claim({**results, "roads": worse})
     assert judged.verdict == NO
-    assert judged.here[:4] == ["MSE of Table 3 over MSE tuned:", " table ", 0.5, " to "]
+    assert judged.here[:4] == ["MSE of Table 3 over MSE tuned", ", table: ", 0.5, " to "]
 
 
 def test_a_drive_that_was_given_up_counts_to_its_end() -> None:
