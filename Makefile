@@ -34,7 +34,7 @@ lint: dev  ## set up, then check format, style and types
 	@$(VENV_PYTHON) -m ruff check .
 	@$(VENV_PYTHON) -m mypy
 
-bench:  ## set up, then measure against other solvers and tools (about 15 min), into runs/bench
+bench:  ## set up, then measure against other solvers and tools (about 10 min), into runs/bench
 	@$(PYTHON) launch_scripts/bootstrap.py --bench
 	@$(VENV_PYTHON) launch_scripts/bench.py
 

@@ -8,6 +8,7 @@ import importlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -32,14 +33,33 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("runs/bench"), help="folder to write")
     parser.add_argument("--only", nargs="+", default=list(PARTS), choices=PARTS, help="parts")
     parser.add_argument("--quick", action="store_true", help="a smoke test: numbers mean nothing")
+    parser.add_argument("--readme", type=Path, help="Markdown file that takes the table of bars")
+    parser.add_argument("--read", type=Path, nargs="+", help="bench.json of earlier runs: no new")
     return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, show, write."""
+    """Measure, judge, show, write."""
     chosen, console = options(arguments), Console(highlight=False)
     console.width = max(console.width, WIDTH)
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    report = importlib.import_module("launch_scripts.bench_report")
+    machine, sections = report.read(chosen.read) if chosen.read else measured(chosen, console)
+    bars = importlib.import_module("launch_scripts.bench_bars").bars(sections)
+    for section in bars:
+        report.show(section, console)
+        if chosen.readme:
+            report.put_into(chosen.readme, machine, section)
+    report.write(chosen.output, machine, bars + sections)
+    figure = importlib.import_module("launch_scripts.bench_figure")
+    if set(figure.DRAWN) <= {section.key for section in sections}:
+        figure.draw(sections, chosen.output / "bench.png")
+    console.print(f"written to {chosen.output}")
+    return 0
+
+
+def measured(chosen: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Any]]:
+    """Measure the parts asked for, show each; gives the machine and the tables."""
     report = importlib.import_module("launch_scripts.bench_report")
     machine, sections = report.machine(), []
     for part in chosen.only:
@@ -48,12 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for section in found:
             report.show(section, console)
         sections += found
-    report.write(chosen.output, machine, sections)
-    if "growth" in chosen.only:
-        figure = importlib.import_module("launch_scripts.bench_figure")
-        figure.draw_growth(sections, chosen.output / "bench.png")
-    console.print(f"written to {chosen.output}")
-    return 0
+    return machine, sections
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ from rich.table import Table
 Row = dict[str, Any]
 PACKAGES = ("numpy", "scipy", "numba", "daqp", "quadprog", "osqp", "piqp", "casadi", "do-mpc")
 
+BEGIN, END = "<!-- bench: begin -->", "<!-- bench: end -->"
+
 
 class Section(NamedTuple):
     """One table."""
@@ -78,19 +80,52 @@ def show(section: Section, console: Console) -> None:
 
 
 def markdown(of_machine: Row, sections: Sequence[Section]) -> str:
-    """Write all tables for the README."""
+    """Write all tables."""
     packages = ", ".join(f"{name} {found}" for name, found in of_machine["packages"].items())
-    lines = [
-        f"{of_machine['cpu']}, {of_machine['cores']} cores, {of_machine['system']}, "
-        f"Python {of_machine['python']}, {packages}; "
-        f"load average {of_machine['load average at the start']} at the start.",
-    ]
+    parts = [f"{machine_line(of_machine)} {packages}.\n"]
     for section in sections:
-        headings = list(section.rows[0])
-        lines += ["", f"**{section.title}.** {section.note}".rstrip(), ""]
-        lines += ["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
-        lines += ["| " + " | ".join(map(text, row.values())) + " |" for row in section.rows]
+        note = f"**{section.title}.** {section.note}".rstrip()
+        parts.append(f"{note}\n\n{markdown_table(section.rows)}")
+    return "\n".join(parts)
+
+
+def machine_line(of_machine: Row) -> str:
+    """Say on what was measured."""
+    return (
+        f"{of_machine['cpu']}, {of_machine['cores']} cores, {of_machine['system']}, "
+        f"Python {of_machine['python']}; "
+        f"load average {of_machine['load average at the start']} at the start."
+    )
+
+
+def markdown_table(rows: Sequence[Row]) -> str:
+    """Write one table."""
+    headings = list(rows[0])
+    lines = ["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
+    lines += ["| " + " | ".join(map(text, row.values())) + " |" for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def put_into(file: File, of_machine: Row, section: Section) -> None:
+    """Replace what stands between the two marks of a Markdown file by one table.
+
+    Raises:
+        ValueError: The marks are not there.
+    """
+    before, begin, rest = file.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"{file}: {BEGIN} and {END} are missing")
+    table = f"{machine_line(of_machine)}\n\n{markdown_table(section.rows)}"
+    file.write_text(f"{before}{begin}\n{table}{end}{after}", encoding="utf-8")
+
+
+def read(files: Sequence[File]) -> tuple[Row, list[Section]]:
+    """Read what was written, of several parts; the machine is that of the first."""
+    contents = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+    found = {key: value for content in contents for key, value in content["sections"].items()}
+    sections = [Section(key, **value) for key, value in found.items() if key != "bars"]
+    return contents[0]["machine"], sections
 
 
 def write(folder: File, of_machine: Row, sections: Sequence[Section]) -> None:

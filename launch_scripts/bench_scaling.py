@@ -19,7 +19,7 @@ WORKERS = (1, 2)
 
 def measure(*, quick: bool) -> list[Section]:
     """Give one table: threads and processes, one and two."""
-    rounds, ticks = (1, 6000) if quick else (9, 100_000)
+    rounds, ticks = (1, 6000) if quick else (7, 60_000)
     with ExitStack() as stack:
         pools = {key: stack.enter_context(pool) for key, pool in make_pools().items()}
         for (_, workers), pool in pools.items():

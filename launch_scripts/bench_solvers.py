@@ -34,7 +34,7 @@ def qp_alone(task: Sequence[Problem], rounds: int) -> list[Section]:
     verdicts = {name: verdict(task, [call() for call in calls[name]]) for name in calls}
     few = max(1, rounds // 10)
     entrants = {s.name: Entrant(calls[s.name], few if s.slow else rounds) for s in solvers}
-    entrants[INSIDE] = Entrant([qp_inside(p.qp, REPEATS) for p in task], few)
+    entrants[INSIDE] = Entrant([qp_inside(p.qp, REPEATS) for p in task], rounds)
     times = interleaved(entrants)
     times[INSIDE] /= REPEATS
     timings = {name: statistics(t) for name, t in times.items()}

@@ -23,10 +23,13 @@ from launch_scripts.bench_problems import SCENARIOS, drive_scenario, perturbed, 
 from launch_scripts.bench_qp import installed, missing, with_daqp
 from launch_scripts.bench_reference import WRONG, exact_move
 from launch_scripts.bench_report import Row, Section
+from launch_scripts.bench_shooting import PROXIMAL, QUIET, multiple_shooting
 from launch_scripts.bench_timing import Entrant, Timing, interleaved, statistics, timing_cells
 
 FREE = Gains(45, 45, 45, 0.0, GAINS.output_weight, GAINS.increment_weight)
 """One increment for each step: pole 0 and as many terms as steps make L the identity."""
+FIRST = Gains(45, 15, 15, 0.0, GAINS.output_weight, GAINS.increment_weight)
+"""The same for the first 15 steps, zero afterwards."""
 DAQP_ALONE, FULL, INSIDE = "DAQP alone", "ours, state to command", "ours, inside a fleet"
 REPEATS = 50
 """Ticks that one call inside compiled code answers."""
@@ -50,7 +53,7 @@ class Tool(NamedTuple):
     gains: Gains = GAINS
     """Of the problem that it solves."""
     slow: bool = False
-    """Goes through the problems once."""
+    """Goes through the problems less often."""
 
 
 def ours() -> Answer:
@@ -62,16 +65,33 @@ TOOLS = (
     Tool("ours", "numba", "model, prediction, rows, active set: one compiled call", ours),
     Tool("NumPy + DAQP", "daqp", "expm, prediction and cost in NumPy; daqp.solve", numpy_daqp),
     Tool(
-        "CasADi + DAQP",
+        "CasADi + DAQP, multiple shooting",
         "casadi",
-        "qpsol built once, condensed in the Laguerre coefficients; parameters v, x, u, r",
+        "as its examples write it: qpsol built once, sparse, 45 states and 15 free increments; "
+        "parameters v, x, u, r; eps_prox 1e-4",
+        partial(multiple_shooting, "daqp", PROXIMAL),
+        FIRST,
+        slow=True,
+    ),
+    Tool(
+        "CasADi + OSQP, multiple shooting",
+        "casadi",
+        "the same with OSQP, its default settings",
+        partial(multiple_shooting, "osqp", QUIET),
+        FIRST,
+        slow=True,
+    ),
+    Tool(
+        "CasADi + DAQP, condensed",
+        "casadi",
+        "by hand: qpsol built once, condensed in the Laguerre coefficients; parameters v, x, u, r",
         partial(casadi_qp, "daqp", {}),
     ),
     Tool(
-        "CasADi + OSQP",
+        "CasADi + OSQP, condensed",
         "casadi",
         "the same with OSQP, its default settings",
-        partial(casadi_qp, "osqp", {"osqp": {"verbose": False}}),
+        partial(casadi_qp, "osqp", QUIET),
     ),
     Tool(
         "do-mpc",
@@ -92,10 +112,11 @@ def whole_ticks(count: int, rounds: int) -> Section:
     task += [perturbed(tick, rng) for tick in task]
     tools = {tool.name: tool for tool in TOOLS if installed(tool.package)}
     answers = {name: tool.make() for name, tool in tools.items()}
-    right = {gains: [move(gains, tick) for tick in task] for gains in (GAINS, FREE)}
+    right = {gains: [move(gains, tick) for tick in task] for gains in (GAINS, FIRST, FREE)}
     shares = {name: share_wrong(answers[name], task, right[tools[name].gains]) for name in tools}
+    few = max(1, rounds // 10)
     entrants = {
-        name: Entrant([partial(answers[name], tick) for tick in task], 1 if tool.slow else rounds)
+        name: Entrant([partial(answers[name], tick) for tick in task], few if tool.slow else rounds)
         for name, tool in tools.items()
     }
     entrants[DAQP_ALONE] = Entrant(
@@ -104,7 +125,7 @@ def whole_ticks(count: int, rounds: int) -> Section:
     full = [call for name in SCENARIOS for call in full_steps(*drive_scenario(name))]
     entrants[FULL] = Entrant(2 * [full[i] for i in chosen], rounds)
     inside = [tick_inside(GAINS, tick, REPEATS) for tick in task]
-    entrants[INSIDE] = Entrant(inside, max(1, rounds // 10))
+    entrants[INSIDE] = Entrant(inside, rounds)
     durations = interleaved(entrants)
     durations[INSIDE] /= REPEATS
     times = {name: statistics(t) for name, t in durations.items()}

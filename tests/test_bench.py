@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ampc_ros.gain_table import Gains
 from ampc_ros.model import augment, zero_order_hold
 from ampc_ros.qp import Qp
 from ampc_ros.small_matrices import make_scratch
-from launch_scripts import bench, bench_growth, bench_qp, bench_reference
+from launch_scripts import bench, bench_growth, bench_qp, bench_reference, bench_report
+from launch_scripts.bench_bars import bars, judged
 from launch_scripts.bench_mpc import augmented_model, casadi_qp, do_mpc_controller, numpy_daqp
 from launch_scripts.bench_ours import (
     GAINS,
@@ -25,17 +27,20 @@ from launch_scripts.bench_ours import (
 )
 from launch_scripts.bench_problems import KINDS, Problem, perturbed, problems, recorded_ticks
 from launch_scripts.bench_reference import WRONG, one_sided
+from launch_scripts.bench_report import Section
+from launch_scripts.bench_shooting import PROXIMAL, multiple_shooting
 from launch_scripts.bench_solvers import verdict
-from launch_scripts.bench_ticks import FREE, Maker, move, ours
+from launch_scripts.bench_ticks import FIRST, FREE, Maker, move, ours
 from launch_scripts.bench_timing import Entrant, interleaved, statistics
 
-MAKERS: dict[str, Maker] = {
-    "numba": ours,
-    "numpy": numpy_daqp,
-    "casadi": partial(casadi_qp, "daqp", {}),
-    "do_mpc": do_mpc_controller,
+MAKERS: dict[str, tuple[str, Maker, Gains]] = {
+    "ours": ("numba", ours, GAINS),
+    "NumPy": ("numpy", numpy_daqp, GAINS),
+    "condensed": ("casadi", partial(casadi_qp, "daqp", {}), GAINS),
+    "multiple shooting": ("casadi", partial(multiple_shooting, "daqp", PROXIMAL), FIRST),
+    "do-mpc": ("do_mpc", do_mpc_controller, FREE),
 }
-"""By package."""
+"""Package, and gains of the problem that is solved."""
 EXACT = ("ours", "DAQP", "quadprog")
 PARTS = ("solvers", "growth", "swarm", "scaling")
 
@@ -73,13 +78,73 @@ def test_exact_solvers_are_never_wrong_in_the_table(sections: dict[str, Any]) ->
 def test_every_part_gives_a_table_in_json_and_markdown(
     written: Path, sections: dict[str, Any]
 ) -> None:
-    keys = {"qp", "qp_kinds", "tick", "swarm_paper", "swarm_preview", "scaling"}
+    keys = {"bars", "qp", "qp_kinds", "tick", "swarm_paper", "swarm_preview", "scaling"}
     assert set(sections) == keys | {f"growth_{axis.split()[0]}" for axis in bench_growth.AXES}
     text = (written / "bench.md").read_text(encoding="utf-8")
     for section in sections.values():
         assert f"**{section['title']}.**" in text
         assert len({tuple(row) for row in section["rows"]}) == 1
     assert (written / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_bar_of_what_was_measured_is_judged(sections: dict[str, Any]) -> None:
+    rows = sections["bars"]["rows"]
+    assert [row["what"] for row in rows if row["bar"] == ">= 60,000"]
+    assert {row["held"] for row in rows} <= {"yes", "no"}
+    correct = next(row for row in rows if row["what"].startswith("QP right"))
+    assert (correct["measured"], correct["held"]) == ("100", "yes")
+    for bar, basis in (("<= 0.7", 3), ("<= 1.5", 2), ("<= 2", 3), (">= 1.6", 1)):
+        assert sum(row["bar"] == bar for row in rows) == basis
+
+
+@pytest.mark.parametrize(
+    ("value", "bar", "held"),
+    [
+        (0.7, "<= 0.7", "yes"),
+        (0.71, "<= 0.7", "no"),
+        (60_000.0, ">= 60,000", "yes"),
+        (59_999.0, ">= 60,000", "no"),
+        (math.nan, "<= 2", "no"),
+    ],
+)
+def test_bar_is_held_up_to_its_number(value: float, bar: str, held: str) -> None:
+    assert judged("", "", value, bar)["held"] == held
+
+
+def test_node_is_judged_where_a_core_is_busy_and_nothing_where_nothing_was_measured() -> None:
+    busy = {
+        "rate [Hz]": "100",
+        "busy cores": "1",
+        "missed ticks": "3",
+        "tick p99 / period [%]": 1.9,
+    }
+    rows = [{**busy, "busy cores": "0", "missed ticks": "0"}, busy]
+    (section,) = bars([Section("node", "", "", rows)])
+    assert [row["held"] for row in section.rows] == ["no", "yes"]
+    assert bars([Section("growth_rows", "", "", rows)]) == []
+
+
+def test_what_was_written_can_be_read_and_put_into_a_readme(written: Path, tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{bench_report.BEGIN}\nold\n{bench_report.END}\nafter\n", "utf-8")
+    given = ["--read", str(written / "bench.json"), "--output", str(tmp_path)]
+    assert bench.main([*given, "--readme", str(readme)]) == 0
+    for kind in ("json", "md"):
+        assert (tmp_path / f"bench.{kind}").read_bytes() == (written / f"bench.{kind}").read_bytes()
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "| >= 60,000 |" in text
+
+
+def test_readme_without_marks_is_an_error(written: Path, tmp_path: Path) -> None:
+    machine, (section, *_) = bench_report.read([written / "bench.json"])
+    readme = tmp_path / "README.md"
+    readme.write_text("nothing", "utf-8")
+    with pytest.raises(ValueError, match="missing"):
+        bench_report.put_into(readme, machine, section)
+    assert readme.read_text("utf-8") == "nothing"
 
 
 def test_report_names_the_machine_but_no_host_and_no_folder(written: Path) -> None:
@@ -135,11 +200,11 @@ def test_reference_that_cannot_be_trusted_is_an_error() -> None:
 
 @pytest.mark.parametrize("tool", MAKERS)
 def test_controllers_of_other_tools_give_the_exact_first_move(tool: str) -> None:
-    pytest.importorskip(tool)
-    answer = MAKERS[tool]()
+    package, make, gains = MAKERS[tool]
+    pytest.importorskip(package)
+    answer = make()
     recorded, rng = recorded_ticks(), np.random.default_rng(5)
     ticks = [perturbed(recorded[i], rng) for i in range(0, 640, 128)]
-    gains = FREE if tool == "do_mpc" else GAINS
     given = np.array([answer(tick) for tick in ticks], dtype=float)
     exact = np.array([move(gains, tick) for tick in ticks])
     np.testing.assert_allclose(given, exact, atol=1e-5)
