@@ -91,9 +91,10 @@ def look_ahead(path: Path, s: float, memory: Array, T: float, road: Road) -> Non
     """
     v_x, a_x = memory[LAST_SPEED], memory[ACCELERATION]
     road.speed[0], road.curvature[0] = v_x, curvature_between(path, s - v_x * T, s)
+    left, fade = math.exp(-0.5 * T / ACCELERATION_FADE), math.exp(-T / ACCELERATION_FADE)
     for j in range(1, len(road.speed)):
-        gained = a_x * ACCELERATION_FADE * (1.0 - math.exp(-(j - 0.5) * T / ACCELERATION_FADE))
-        road.speed[j] = max(v_x + gained, 0.0)
+        road.speed[j] = max(v_x + a_x * ACCELERATION_FADE * (1.0 - left), 0.0)
+        left *= fade
         road.curvature[j] = curvature_between(path, s, s + road.speed[j] * T)
         s += road.speed[j] * T
 
