@@ -14,8 +14,9 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_ros.belief import believed as belief_of
 from ampc_ros.gain_table import Gains, GainTable
-from ampc_ros.lateral_mpc import LateralMpc, check_conditioning, scratch_numbers
+from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
+from ampc_ros.programme import check_conditioning, scratch_numbers
 from launch_scripts.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Array, Fleet
 from launch_scripts.fleet_rows import Entry, Expedition, prepare, run
 from launch_scripts.tuning_drives import (

@@ -37,6 +37,8 @@ class Gains(NamedTuple):
     """R."""
 
 
+KEYS = ("speed", "lateral_reference", "gains", "provenance")
+"""Of a table's file."""
 INTEGERS = ("prediction_horizon", "control_horizon", "laguerre_terms")
 BOUNDS: dict[str, dict[str, Any]] = {
     "prediction_horizon": {"low": 1, "high": 200, "unit": "ticks"},
@@ -173,10 +175,15 @@ def load_gain_table(name: str) -> GainTable:
 
 
 def gain_table(content: Mapping[str, Any]) -> GainTable:
-    """Make a table of a mapping with `speed`, optional `lateral_reference`, and `gains`."""
+    """Make a table of a mapping with `speed`, optional `lateral_reference`, and `gains`.
+
+    It may have a `provenance`, too: a mapping of whatever whoever made the table wants to tell.
+    """
     for key in content:
-        if key not in ("speed", "lateral_reference", "gains"):
-            raise ValueError(f"unknown key {key!r}; known are speed, lateral_reference, gains")
+        if key not in KEYS:
+            raise ValueError(f"unknown key {key!r}; known are {', '.join(KEYS)}")
+    if not isinstance(content.get("provenance", {}), Mapping):
+        raise ValueError(f"provenance = {content['provenance']!r} must be a mapping of keys")
     speeds = _axis("speed", content["speed"])
     references = _axis("lateral_reference", content.get("lateral_reference", [0.0]))
     rows, expected = content["gains"], len(speeds) * len(references)
