@@ -81,7 +81,7 @@ def eigenvalues(car: str, delay: float, name: str) -> Measured:
     """Give spectral radius and margin of unknown delay: at each speed, and the worst."""
     vehicle = load_vehicle(find("vehicles", car))
     steering = replace(vehicle.steering, delay=delay)
-    steers = controller(name, vehicle.chassis, steering)
+    steers = controller(name, car, vehicle.chassis, steering)
     assert isinstance(steers, PreviewMpc)
     loop = (steers, vehicle.chassis, steering)
     radius = {f"radius at {v:g} m/s": spectral_radius(*loop, v) for v in SPEEDS}

@@ -33,7 +33,7 @@ from sim_vehicle.parameters import Vehicle
 
 SETTINGS = "table3"
 """Shipped limits under which gains are tuned."""
-LOST = 50.0
+LOST = {"paper": 50.0, "robust": 10.0}
 """Cross-track error beyond which a drive has failed [m]; steps to 15 m overshoot."""
 INCREMENT_WEIGHT = 1.0
 """Weight of the mean squared increment, as the way v T Delta u by which it moves the front wheels
@@ -138,7 +138,8 @@ def combined(cost: Array) -> Array:
         The average is geometric, too: half the error on a dry road counts as much as half the
         (far larger) error with a delay that nobody told the controller of.
     """
-    return np.sqrt(np.exp(np.log(cost).mean(axis=1)) * cost.max(axis=1))
+    average = np.exp(np.log(cost).mean(axis=1))
+    return np.asarray(np.sqrt(average * cost.max(axis=1)))
 
 
 @lru_cache(maxsize=1024)
@@ -146,10 +147,12 @@ def _prepared(node: Node) -> Expedition:
     """Lay out the cars and roads of a node; they stay as they are."""
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)
-        return prepare([_entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))], LOST)
+        return prepare(
+            [_entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))], LOST[node.kind]
+        )
     roads = {name: road(node.speed) for name, road in ROADS.items()}
     cars = [(plant, real(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
-    return prepare([_entry(node, *car) for car in cars], LOST)
+    return prepare([_entry(node, *car) for car in cars], LOST[node.kind])
 
 
 def _entry(node: Node, plant: Plant, simulation: Simulation) -> Entry:

@@ -21,5 +21,10 @@ setup(
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["start = launch_scripts.start:main"]},
+    entry_points={
+        "console_scripts": [
+            "start = launch_scripts.start:main",
+            "tune = launch_scripts.tune:main",
+        ]
+    },
 )

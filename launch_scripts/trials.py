@@ -17,7 +17,7 @@ from ampc_msgs_config.path_file import SpeedLimits, from_csv
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
 from ampc_msgs_config.types import at_distance
-from ampc_ros.controller import DEFAULT_TABLES
+from ampc_ros.controller import default_table
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
@@ -80,11 +80,11 @@ class Driven(NamedTuple):
 
 
 def controller(
-    name: str, chassis: ChassisParameters, steering: SteeringParameters
+    name: str, car: str, chassis: ChassisParameters, steering: SteeringParameters
 ) -> PreviewMpc | LateralMpc:
-    """Make `preview` or `paper` with its shipped gains, for a car as it is believed to be."""
+    """Make `preview` or `paper` with the gains shipped for a car, as it is believed to be."""
     settings = load(ControllerSettings, find("controllers", "table3"))
-    table = load_gain_table(DEFAULT_TABLES[name])
+    table = load_gain_table(default_table(name, car))
     if name == "preview":
         return PreviewMpc(chassis, steering, settings, table)
     return LateralMpc(chassis, settings, table)
@@ -106,7 +106,7 @@ def run_all(trials: Sequence[Trial], name: str) -> list[Driven]:
     entries = [
         Entry(
             plant(trial, vehicle, scenario),
-            controller(name, vehicle.chassis, vehicle.steering),
+            controller(name, trial.car, vehicle.chassis, vehicle.steering),
             math.radians(trial.misaligned_deg),
         )
         for trial, vehicle, scenario in zip(trials, vehicles, scenarios, strict=True)

@@ -45,6 +45,8 @@ class Plant(NamedTuple):
     """Key of ROADS."""
     known_delay: float = 0.0
     """Of the steering, beyond that of the vehicle file [s]."""
+    known_lag: float = 0.0
+    """The same of its lag [s]."""
     friction: float | None = None
     """Of the road; None: that of the tyres."""
     stiffness: float = 1.0
@@ -64,6 +66,8 @@ PLANTS = (
     Plant("80 ms unknown delay", delay=0.08),
     Plant("100 ms delay, 90 ms unknown", known_delay=0.1, delay=0.09),
     Plant("200 ms delay, 90 ms unknown", known_delay=0.2, delay=0.09),
+    Plant("100 ms delay", known_delay=0.1),
+    Plant("200 ms lag", known_lag=0.2),
     Plant("noise", seed=1),
     Plant("joining", "joining"),
     Plant("joining, friction 0.3", "joining", friction=0.3),
@@ -109,8 +113,9 @@ ROADS: dict[str, Callable[[float], Scenario]] = {"lane change": lane_change, "jo
 
 def believed(plant: Plant, vehicle: Vehicle) -> Vehicle:
     """Give the car that the controller knows."""
-    delay = vehicle.steering.delay + plant.known_delay
-    return vehicle._replace(steering=replace(vehicle.steering, delay=delay))
+    steering = vehicle.steering
+    delay, lag = steering.delay + plant.known_delay, steering.lag + plant.known_lag
+    return vehicle._replace(steering=replace(steering, delay=delay, lag=lag))
 
 
 def real(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulation:

@@ -50,7 +50,7 @@ def carry_out(
     def one(job: Job) -> tuple[str, Found]:
         return job.name, _search(job, workers, checkpoints, show, stop)
 
-    with ThreadPoolExecutor(min(len(jobs), workers.count + 1)) as drivers:
+    with ThreadPoolExecutor(min(len(jobs), workers.places + 1)) as drivers:
         tasks = [drivers.submit(one, job) for job in jobs]
         try:
             done, _ = wait(tasks, return_when=FIRST_EXCEPTION)
@@ -85,7 +85,7 @@ def _spread(workers: Workers) -> Callable[[Callable[..., Any], Array], Iterable[
     """Give a `map` that hands a generation to the workers in as many parts as they are."""
 
     def spread(cost: Callable[..., Any], positions: Array) -> Array:
-        parts = np.array_split(positions, min(workers.count, len(positions)))
+        parts = np.array_split(positions, min(workers.places, len(positions)))
         tasks = [workers.executor.submit(cost, part) for part in parts]
         return np.concatenate([task.result() for task in tasks])
 

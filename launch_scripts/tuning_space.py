@@ -87,7 +87,8 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
         for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
             check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
         check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
-    result = SearchSpace(tuple((symbol, *map(float, bounds[symbol])) for symbol in bounds), fixed)
+    ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
+    result = SearchSpace(ends, fixed)
     space([Dimension(*bound) for bound in result.bounds])
     space(dimensions(result))
     return result
@@ -146,5 +147,5 @@ def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
             number = int(value) if FIELDS[symbol] in INTEGERS else float(value)
         except ValueError as error:
             raise ValueError(f"--fix {text}: must look like {symbol}=25") from error
-        fixed = fixed._replace(**{FIELDS[symbol]: number})
+        fixed = Gains(**(fixed._asdict() | {FIELDS[symbol]: number}))
     return fixed

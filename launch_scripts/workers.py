@@ -25,7 +25,7 @@ class Workers(NamedTuple):
     """Where functions run."""
 
     executor: Executor
-    count: int
+    places: int
     """How many functions can run at once."""
     losses: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
     """What a result raises where the workers are gone."""
@@ -57,18 +57,19 @@ def open_workers(count: int, processes: bool = False, scheduler: str = "") -> It
 @contextmanager
 def _cluster(address: str) -> Iterator[Workers]:
     try:
-        import distributed
+        from distributed import Client, KilledWorker
     except ImportError as error:
         raise ValueError("--scheduler needs Dask: pip install -r requirements-dask.txt") from error
+    connect: Any = Client  # it has no types
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+        client = connect(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         cause = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"--scheduler {address}: no scheduler answers there: {cause}") from error
     try:
         count = _hired(client, address)
-        losses = (BrokenExecutor, CancelledError, distributed.KilledWorker)
+        losses = (BrokenExecutor, CancelledError, KilledWorker)
         yield Workers(client.get_executor(retries=RETRIES), count, losses)
     finally:
         client.close(timeout=PATIENCE)

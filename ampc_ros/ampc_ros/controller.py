@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
@@ -22,6 +22,7 @@ CONTROLLERS = {
     "pure_pursuit": "geometric baseline on the rear axle",
 }
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
+"""Gains that hold for any car; `default_table` knows better ones."""
 CLASSIC_SPEED = 9.0
 """Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
 
@@ -65,9 +66,16 @@ class Choices(NamedTuple):
     vehicle: str = "paper"
     settings: str = "table3"
     gain_table: str = ""
-    """Empty: the one that belongs to the controller."""
+    """Empty: see `default_table`."""
     base_link_to_cg: float | None = None
     """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
+
+
+def default_table(controller: str, vehicle: str) -> str:
+    """Give the shipped gains for a vehicle: `preview_paper` where they are tuned for that one."""
+    name = DEFAULT_TABLES[controller]
+    tuned = f"{name}_{vehicle}"
+    return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
 
 
 def make_controller(choices: Choices) -> Controller:
@@ -85,7 +93,7 @@ def make_controller(choices: Choices) -> Controller:
         raise ValueError(f"controller = {choices.controller!r} must be one of {known}")
     if choices.controller == "classic":
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
-    gains = choices.gain_table or DEFAULT_TABLES[choices.controller]
+    gains = choices.gain_table or default_table(choices.controller, choices.vehicle)
     table = load_gain_table(gains)
     if choices.controller == "preview":
         steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
