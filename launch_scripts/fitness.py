@@ -20,7 +20,7 @@ from ampc_ros.programme import check_conditioning, scratch_numbers
 from launch_scripts.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Array, Fleet
 from launch_scripts.fleet_rows import Entry, Expedition, prepare, run
 from launch_scripts.tuning_drives import (
-    JOINED,
+    JUDGED_FROM,
     PLANTS,
     ROADS,
     Plant,
@@ -38,7 +38,7 @@ LOST = {"paper": 50.0, "robust": 10.0}
 INCREMENT_WEIGHT = 1.0
 """Weight of the mean squared increment, as the way v T Delta u by which it moves the front wheels
 sideways within a tick [m^2]."""
-NEGLIGIBLE = 0.01
+NEGLIGIBLE = 0.005
 """Error that is good enough: below it a drive gains little [m]."""
 GENTLE = Gains(25, 20, 6, 0.3, 10.0, 100.0)
 """Any gains, of which a controller is made before it gets those of a particle."""
@@ -46,7 +46,7 @@ FITNESS = {
     "paper": "mean squared error [m^2] of a step to the node's lateral reference, 10 s",
     "robust": "geometric mean of average and worst, over drives on a lane change and of joining a "
     "road by cars that differ from the model, of the mean squared error + mean (v T Delta u)^2 "
-    "+ (1 cm)^2 [m^2]",
+    "+ (5 mm)^2 [m^2]",
 }
 
 
@@ -86,7 +86,7 @@ def is_sound(node: Node, row: Array) -> bool:
     """Whether the controller would take these gains (6,)."""
     if node.formulation != "paper":
         return True
-    belief = belief_of(_prepared(node).fleet.numbers[0])
+    belief = belief_of(prepared(node).fleet.numbers[0])
     try:
         check_conditioning(belief.vehicle, gains_of_row(row), belief.limits)
     except ValueError:
@@ -101,7 +101,7 @@ def gains_of_row(row: Array) -> Gains:
 
 def drives(node: Node, rows: Array) -> Array:
     """Drive all cars of a node with each set of gains (n, 6): the log (n, cars, ticks, LOGGED)."""
-    expedition = _prepared(node)
+    expedition = prepared(node)
     log = run(crowd(expedition, rows))
     return log.reshape(len(rows), len(expedition.fleet.road), *log.shape[1:])
 
@@ -120,15 +120,16 @@ def judged(node: Node, log: Array) -> Array:
     """Read the fitness (n,) off the log (n, cars, ticks, LOGGED); not finite where a car failed."""
     error, steering = log[..., CROSS_TRACK_ERROR], log[..., STEERING]
     failed = (~(log[..., CONVERGED] > 0.0)).any(axis=(1, 2))
-    cost = np.mean(error**2, axis=2)
-    if node.kind == "robust":
-        period = _prepared(node).period_ns / 1e9
-        joined = [plant.road == "joining" for plant in PLANTS]
-        cost[:, joined] = np.mean(error[:, joined, round(JOINED / period) :] ** 2, axis=2)
+    if node.kind == "paper":
+        cost = np.mean(error**2, axis=(1, 2))
+    else:
+        period = prepared(node).period_ns / 1e9
+        begin = [round(JUDGED_FROM[plant.road] / period) for plant in PLANTS]
+        squares = [np.mean(error[:, i, b:] ** 2, axis=1) for i, b in enumerate(begin)]
         way = node.speed * period * np.diff(steering, axis=2)
-        cost += INCREMENT_WEIGHT * np.mean(way**2, axis=2)
-        cost = combined(cost + NEGLIGIBLE**2)[:, None]
-    return np.where(failed, np.inf, cost[:, 0])
+        effort = INCREMENT_WEIGHT * np.mean(way**2, axis=2)
+        cost = combined(np.column_stack(squares) + effort + NEGLIGIBLE**2)
+    return np.where(failed, np.inf, cost)
 
 
 def combined(cost: Array) -> Array:
@@ -143,7 +144,7 @@ def combined(cost: Array) -> Array:
 
 
 @lru_cache(maxsize=1024)
-def _prepared(node: Node) -> Expedition:
+def prepared(node: Node) -> Expedition:
     """Lay out the cars and roads of a node; they stay as they are."""
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)

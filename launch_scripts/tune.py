@@ -46,8 +46,8 @@ def parser() -> argparse.ArgumentParser:
     new.add_argument("--tune", nargs="+", choices=SYMBOLS, metavar="GAIN", help=" ".join(SYMBOLS))
     new.add_argument("--bounds", nargs="+", default=[], metavar="GAIN=LOW:HIGH")
     new.add_argument("--fix", nargs="+", default=[], metavar="GAIN=VALUE", help="not searched for")
-    new.add_argument("--particles", type=int, default=20)
-    new.add_argument("--generations", type=int, default=15)
+    new.add_argument("--particles", type=int, help="default: 20, preview 12")
+    new.add_argument("--generations", type=int, help="default: 15, preview 10")
     new.add_argument("--seeds", nargs="+", type=int, default=[1, 2], help="the best one counts")
     new.add_argument("--output", type=Path, help="file; default: runs/tune/<vehicle>_<...>.yaml")
     new.add_argument("--resume", action="store_true", help="go on after an interruption")
@@ -66,6 +66,8 @@ def task_of(chosen: argparse.Namespace) -> Task:
     preset = PRESETS[chosen.formulation]
     kind = chosen.fitness or preset.kind
     references = preset.references if kind == "paper" else (0.0,)
+    particles = preset.particles if chosen.particles is None else chosen.particles
+    generations = preset.generations if chosen.generations is None else chosen.generations
     given = read_bounds(chosen.bounds)
     tuned = chosen.tune or preset.tuned
     for symbol in given:
@@ -79,7 +81,7 @@ def task_of(chosen: argparse.Namespace) -> Task:
         preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
         references if chosen.references is None else tuple(chosen.references),
         search_space(bounds, read_fixed(chosen.fix, preset.fixed)),
-        PsoSettings(particles=chosen.particles, generations=chosen.generations),
+        PsoSettings(particles=particles, generations=generations),
         tuple(chosen.seeds),
     )
     if chosen.workers < 1:

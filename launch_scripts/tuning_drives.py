@@ -33,8 +33,10 @@ SMALL_OFFSET, LARGE_OFFSET = 0.1, 3.0
 """Of the start from the path, on the lane change and where a road is joined [m]."""
 GUST = Wind("gust", 9.0, 11.0, 15.0)
 """Side wind after the lane change."""
-JOIN_DURATION, JOINED = 14.0, 9.0
-"""Of joining a straight road, and when the return from the large offset has to be over [s]."""
+JOIN_DURATION = 14.0
+"""Of joining a straight road [s]."""
+JUDGED_FROM = {"lane change": 3.0, "joining": 9.0}
+"""When the return from the offset has to be over [s]: how fast it was is nobody's gain."""
 
 
 class Plant(NamedTuple):
@@ -143,7 +145,7 @@ def softened(chassis: ChassisParameters, factor: float) -> ChassisParameters:
 DEFINITION = repr(
     (
         (PLANTS, SMALL_STEP, STEP_DURATION, LANE, ACCELERATION, CURVATURE, LANE_CHANGE_START),
-        (LANE_CHANGE_DURATION, SMALL_OFFSET, LARGE_OFFSET, GUST, JOIN_DURATION, JOINED),
+        (LANE_CHANGE_DURATION, SMALL_OFFSET, LARGE_OFFSET, GUST, JOIN_DURATION, JUDGED_FROM),
     )
 )
 """All numbers above, for a table's provenance."""

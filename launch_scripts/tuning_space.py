@@ -38,6 +38,8 @@ class Preset(NamedTuple):
     tuned: tuple[str, ...]
     bounds: dict[str, Bounds]
     fixed: Gains
+    particles: int
+    generations: int
 
 
 PRESETS = {
@@ -55,12 +57,14 @@ PRESETS = {
             "R": (0.001, 10.0),
         },
         fixed=Gains(45, 15, 5, 0.75, 10.0, 0.01),
+        particles=20,
+        generations=15,
     ),
     "preview": Preset(
         kind="robust",
         speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
         references=(0.0,),
-        tuned=("N", "alpha", "R"),
+        tuned=("alpha", "R"),  # what else there is differs from node to node by chance
         bounds={
             "N_p": (10, 45),
             "N_c": (4, 30),
@@ -69,7 +73,9 @@ PRESETS = {
             "Q": (0.1, 1000.0),
             "R": (1.0, 1.0e5),
         },
-        fixed=Gains(25, 20, 6, 0.3, 10.0, 100.0),
+        fixed=Gains(25, 20, 4, 0.3, 10.0, 100.0),
+        particles=12,
+        generations=10,
     ),
 }
 

@@ -13,7 +13,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import check_range
 from ampc_ros.gain_table import Gains, GainTable
 from ampc_ros.pso_settings import PsoSettings
-from launch_scripts.fitness import FITNESS, Node, fitness
+from launch_scripts.fitness import FITNESS, Node, fitness, gains_of_row
 from launch_scripts.fleet import Array
 from launch_scripts.tuning_drives import DEFINITION
 from launch_scripts.tuning_space import SYMBOLS, SearchSpace, gains_at
@@ -69,8 +69,7 @@ class Job(NamedTuple):
 
     def gains(self, position: Array) -> Gains:
         """Gains of one particle (d,)."""
-        row = gains_at(self.space, position[None])[0]
-        return Gains(*map(int, row[:3]), *map(float, row[3:]))
+        return gains_of_row(gains_at(self.space, position[None])[0])
 
 
 def cost(nodes: tuple[Node, ...], where: SearchSpace, positions: Array) -> Array:

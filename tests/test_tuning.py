@@ -116,7 +116,7 @@ WRONG = {
     "--tune N_p --bounds N_p=1:2.5": "bounds: N_p.high = 2.5 must be a whole number",
     "--bounds R=5": "--bounds R=5: must look like R=1:1e4",
     "--bounds Z=1:2": "unknown gain 'Z'; known are N_p, N_c, N, alpha, Q, R",
-    "--bounds Q=1:2": "--bounds Q: is not among the tuned, N, alpha, R",
+    "--bounds Q=1:2": "--bounds Q: is not among the tuned, alpha, R",
     "--fix Z=1": "--fix Z=1: unknown gain; known are N_p",
     "--fix N_p=a": "--fix N_p=a: must look like N_p=25",
     "--fix N_p=0": "fixed: N_p = 0 must lie in [1, 200]",
