@@ -121,6 +121,7 @@ BAD = {
     r"speed\[1\] = 5.0 must be greater than 5.0": content(speed=[5.0, 5.0]),
     r"speed\[0\] = 'fast' must be a number": content(speed=["fast", 5.0]),
     r"speed\[0\] = nan must lie in \[-10000, 10000\]": content(speed=[math.nan, 5.0]),
+    r"provenance = 'mine' must be a mapping of keys": content(provenance="mine"),
     r"gains: 2 entries, the axes ask for 3": content(speed=[1.0, 2.0, 3.0]),
     r"gains: 2 entries, the axes ask for 4": content(lateral_reference=[-1.0, 1.0]),
     r"gains: 'none' entries": content(gains="none"),
@@ -167,3 +168,7 @@ def test_interpolated_gains_stay_between_those_of_the_nodes(speed: float, refere
 
 def test_written_table_reads_back() -> None:
     assert gain_table(content()).nodes == [SLOW, FAST]
+
+
+def test_provenance_changes_no_gains() -> None:
+    assert gain_table(content(provenance={"seeds": [1]})).nodes == [SLOW, FAST]
