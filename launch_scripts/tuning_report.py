@@ -45,13 +45,18 @@ class Candidate(NamedTuple):
     """Half-way between its speeds."""
 
     @property
+    def overall(self) -> float:
+        """Geometric mean over the nodes and half-way between them."""
+        return mean((*self.fitness, *self.held_out))
+
+    @property
     def at_nodes(self) -> float:
         """Geometric mean over the nodes; infinite where a car is lost at one of them."""
         return mean(self.fitness)
 
     @property
     def between(self) -> float:
-        """The same half-way between the speeds; of a single speed the node itself."""
+        """The same half-way between the speeds, which no search saw; of one speed the node."""
         return mean(self.held_out or self.fitness)
 
 
@@ -63,27 +68,35 @@ class Report(NamedTuple):
     others: tuple[Candidate, ...]
     """The same with other seeds, and what they are compared with."""
     found: Content
-    """Gains of the nodes that have some."""
+    """Gains of the table's nodes that have some."""
     not_reached: tuple[tuple[float, float], ...]
     """Speed and lateral reference of the others."""
 
     @property
     def gain(self) -> float:
-        """Share of the single set's fitness that the table saves on speeds that no search saw."""
-        table, single = self.table.between, self.single.between
+        """Share of the single set's fitness that the table saves, at the nodes and between them.
+
+        Note:
+            The speeds between the nodes alone would leave out both ends of the range, where one
+            set for all speeds is worst.
+        """
+        table, single = self.table.overall, self.single.overall
         if math.isinf(single):
             return 1.0
         return -math.inf if math.isinf(table) else 1.0 - table / single
 
     @property
     def is_table(self) -> bool:
-        """Whether the table is worth its nodes; otherwise the single set is written."""
-        return self.gain >= WORTH
+        """Whether the table is worth its nodes, also where no search has been.
+
+        Otherwise the single set is written.
+        """
+        return self.gain >= WORTH and self.table.between <= self.single.between
 
     @property
     def verdict(self) -> str:
         """In one sentence."""
-        if math.isinf(self.single.between):
+        if math.isinf(self.single.overall):
             return "no single gain set brings every car through: table written"
         if self.is_table:
             return f"the table beats the best single gain set by {self.gain:.0%}: table written"
@@ -195,6 +208,7 @@ def as_json(report: Report) -> dict[str, Any]:
                 "geometric_mean": plain([item.at_nodes, item.between]),
                 "fitness": plain(item.fitness),
                 "held_out": plain(item.held_out),
+                "gains": [list(gains) for gains in item.table.nodes],
             }
             for item in (report.table, report.single, *report.others)
         },

@@ -74,8 +74,8 @@ PRESETS = {
             "R": (1.0, 1.0e5),
         },
         fixed=Gains(25, 20, 4, 0.3, 10.0, 100.0),
-        particles=12,
-        generations=10,
+        particles=10,
+        generations=8,
     ),
 }
 
