@@ -100,6 +100,10 @@ class Report(NamedTuple):
             return "no single gain set brings every car through: table written"
         if self.is_table:
             return f"the table beats the best single gain set by {self.gain:.0%}: table written"
+        if self.gain >= WORTH:
+            return (
+                "between its nodes the table is worse than the best single set: single set written"
+            )
         return (
             f"the table does not beat the best single gain set by {WORTH:.0%} "
             f"({self.gain:.0%}): single gain set written"
@@ -153,7 +157,7 @@ def prove(task: Task, outcome: Outcome, workers: Workers) -> Report:
 
 def _best(candidates: Sequence[Candidate], purpose: str) -> Candidate | None:
     mine = [item for item in candidates if item.name.startswith(f"{purpose}, ")]
-    return min(mine, key=lambda item: item.at_nodes) if mine else None
+    return min(mine, key=lambda item: item.overall) if mine else None
 
 
 def compared(task: Task) -> list[Candidate]:

@@ -14,7 +14,7 @@ from launch_scripts.tune import parser, task_of
 from launch_scripts.tuning_task import describe, held_out, reached
 from sim_vehicle.parameters import load_vehicle
 
-TUNED = {"paper_tuned": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
+TUNED = {"paper_pso": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
 
 
 def content(name: str) -> dict[str, object]:
@@ -70,7 +70,7 @@ def test_the_tuned_table_of_the_paper_steps_better_than_table_3() -> None:
     task = task_of(parser().parse_args(["--formulation", "paper"]))
     ratios = []
     for node in [n for n in held_out(task) if reached(n) and n.reference in (5.0, -10.0)][::4]:
-        tables = [load_gain_table(name) for name in ("paper_tuned", "table3")]
+        tables = [load_gain_table(name) for name in ("paper_pso", "table3")]
         gains = [table.lookup(node.speed, node.reference).gains for table in tables]
         tuned, table_3 = fitness(node, gains)
         ratios.append(tuned / table_3)

@@ -210,6 +210,7 @@ def test_a_table_that_is_worse_between_its_nodes_is_not_written() -> None:
     report = Report(table, single, (), {}, ())
     assert report.gain > 0.1
     assert not report.is_table
+    assert report.verdict.startswith("between its nodes the table is worse")
 
 
 def test_a_table_that_loses_a_car_between_its_nodes_is_not_written() -> None:
