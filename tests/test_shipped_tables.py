@@ -56,14 +56,16 @@ def test_a_shipped_vehicle_gets_its_own_table_and_any_other_the_one_for_all(tmp_
 
 
 @pytest.mark.parametrize("car", ["paper", "ordinary"])
-@pytest.mark.parametrize("v", [6.5, 17.5, 36.5])
 def test_the_default_gains_are_better_than_hand_set_ones_at_speeds_that_no_search_saw(
-    car: str, v: float
+    car: str,
 ) -> None:
-    node = Node(load_vehicle(config.find("vehicles", car)), "preview", "robust", v)
+    vehicle, ratios = load_vehicle(config.find("vehicles", car)), []
     tables = [load_gain_table(name) for name in (default_table("preview", car), "preview")]
-    tuned, hand_set = fitness(node, [table.lookup(v).gains for table in tables])
-    assert tuned < 0.95 * hand_set
+    for v in (6.5, 13.0, 17.5, 36.5):
+        node = Node(vehicle, "preview", "robust", v)
+        tuned, hand_set = fitness(node, [table.lookup(v).gains for table in tables])
+        ratios.append(tuned / hand_set)
+    assert np.exp(np.mean(np.log(ratios))) < 0.8
 
 
 def test_the_tuned_table_of_the_paper_steps_better_than_table_3() -> None:
