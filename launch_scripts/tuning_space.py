@@ -47,7 +47,7 @@ PRESETS = {
         kind="paper",
         speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
         references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
-        tuned=("N_p", "N_c", "N", "alpha", "R"),
+        tuned=("N_p", "N_c", "alpha", "R"),  # an alpha between two nodes fits the N of neither
         bounds={  # of the authors' code; theirs of Q and R give R/Q from 1e-4 to 1
             "N_p": (1, 55),
             "N_c": (1, 18),
@@ -56,7 +56,7 @@ PRESETS = {
             "Q": (0.1, 10.0),
             "R": (0.001, 10.0),
         },
-        fixed=Gains(45, 15, 5, 0.75, 10.0, 0.01),
+        fixed=Gains(45, 15, 3, 0.75, 10.0, 0.01),
         particles=20,
         generations=15,
     ),
