@@ -99,7 +99,7 @@ def test_a_task_describes_itself_in_json() -> None:
     assert json.loads(json.dumps(described)) == described
     assert described["bounds"]["alpha"] == [0.75, 0.99]
     assert "output_weight" not in described
-    assert described["fixed"] == {"Q": 10.0}
+    assert described["fixed"] == {"N": 3, "Q": 10.0}
 
 
 WRONG = {
