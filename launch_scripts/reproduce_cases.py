@@ -12,6 +12,7 @@ from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario, speed_at
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_ros.controller import default_table
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
@@ -188,7 +189,8 @@ def contender(name: str, fixed_speed: float, found: Found, authors: Authors) -> 
     settings = settings_of(fixed_speed if name in FIXED else 0.0, authors)
     if name == "preview":
         exact = replace(settings, solver="active_set")
-        return PreviewMpc(car.chassis, car.steering, exact, load_gain_table("preview"))
+        table = load_gain_table(default_table("preview", "paper"))
+        return PreviewMpc(car.chassis, car.steering, exact, table)
     if name == "pure_pursuit":
         time, distance = found.look_ahead
         chosen = replace(settings, look_ahead_time=time, min_look_ahead=distance)

@@ -166,7 +166,7 @@ def orthonormalise(active: ActiveRows, first: int) -> None:
     """Bring basis and S of the active rows from `first` on up to date."""
     for i in range(first, int(active.size[0])):
         rest = active.basis[i]
-        project_out(active.rows[i], active.basis, i, active.S[i], rest, 2)
+        project_out(active.rows[i], active.basis, i, active.S[i], rest)
         length = math.sqrt(dot(rest, rest))
         active.S[i, i] = length
         for j in range(len(rest)):
@@ -223,7 +223,7 @@ def enter(active: ActiveRows, w: Array) -> bool:
     while True:
         k = int(active.size[0])
         row, rest, falling = active.rows[k], active.rest, active.held
-        project_out(row, active.basis, k, active.coordinates, rest, 2)
+        project_out(row, active.basis, k, active.coordinates, rest)
         backward(active.S, active.coordinates, k, falling)
         dual_step, blocking = longest_step(falling, active.multipliers, k)
         slope = dot(rest, rest)
@@ -249,12 +249,13 @@ def settle(start: Array, active: ActiveRows, w: Array) -> None:
         Computed from the start each time, so that no rounding error of earlier changes stays.
     """
     k = int(active.size[0])
-    project_out(start, active.basis, k, active.coordinates, w, 1)
     forward(active.S, active.bounds, k, active.held)
+    for j in range(len(w)):
+        w[j] = start[j]
     for i in range(k):
-        active.coordinates[i] -= active.held[i]
+        active.coordinates[i] = dot(active.basis[i], start) - active.held[i]
         for j in range(len(w)):
-            w[j] += active.held[i] * active.basis[i, j]
+            w[j] -= active.coordinates[i] * active.basis[i, j]
     backward(active.S, active.coordinates, k, active.multipliers)
     for i in range(k):
         active.multipliers[i] = max(active.multipliers[i], 0.0)

@@ -95,21 +95,23 @@ def backward(C: Array, b: Array, n: int, x: Array) -> None:
 
 
 @in_place
-def project_out(
-    vector: Array, basis: Array, k: int, coordinates: Array, rest: Array, passes: int
-) -> None:
+def project_out(vector: Array, basis: Array, k: int, coordinates: Array, rest: Array) -> None:
     """Part a vector (n,): coordinates (k,) in the first k rows of an orthonormal basis, the rest.
 
     Note:
-        Gram-Schmidt; done in two passes, it keeps orthogonality to working precision.
+        Gram-Schmidt, done again where much of the vector went and the rest has lost digits by it
+        (Daniel, Gragg, Kaufman and Stewart, 1976): orthogonal to working precision.
     """
     for j in range(len(vector)):
         rest[j] = vector[j]
     for i in range(k):
         coordinates[i] = 0.0
-    for _ in range(passes):
+    for _ in range(2):
+        before = dot(rest, rest)
         for i in range(k):
             share = dot(basis[i], rest)
             coordinates[i] += share
             for j in range(len(rest)):
                 rest[j] -= share * basis[i, j]
+        if dot(rest, rest) > 0.5 * before:
+            return
