@@ -93,7 +93,7 @@ def test_every_bar_of_what_was_measured_is_judged(sections: dict[str, Any]) -> N
     assert {row["held"] for row in rows} <= {"yes", "no"}
     correct = next(row for row in rows if row["what"].startswith("QP right"))
     assert (correct["measured"], correct["held"]) == ("100", "yes")
-    for bar, basis in (("<= 0.7", 3), ("<= 1.5", 2), ("<= 2", 3), (">= 1.6", 1)):
+    for bar, basis in (("<= 0.7", 3), ("<= 1.5", 2), ("<= 2", 4), (">= 1.6", 1)):
         assert sum(row["bar"] == bar for row in rows) == basis
 
 
