@@ -44,6 +44,35 @@ MODES = (
 """What `Diagnosis.mode` counts; only the first two are in order."""
 TRACKING, STANDSTILL, PATH_END, REVERSE, WRONG_WAY = range(len(MODES))
 
+RUNGS = ("optimal", "slack", "shifted_plan", "feed_forward", "stop")
+"""The ladder of fall-backs, from the exact solution down to the request to stop."""
+OPTIMAL, SLACK, SHIFTED_PLAN, FEED_FORWARD, STOP = range(len(RUNGS))
+
+REASONS = (
+    "none",
+    "slack_in_use",
+    "qp_not_solved",
+    "plan_used_up",
+    "state_late",
+    "state_lost",
+    "path_lost",
+    "off_path",
+    "wrong_way",
+    "driving_backwards",
+)
+"""Why a command does not come from the top of the ladder."""
+
+LIMITS = (
+    "none",
+    "not_finite",
+    "angle",
+    "lateral_acceleration",
+    "rate",
+    "lateral_jerk",
+    "measured_step",
+)
+"""What the guard has clipped a command to."""
+
 
 class Diagnosis(NamedTuple):
     """What a controller can say about one step; each field is one debug topic."""
