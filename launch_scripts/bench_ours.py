@@ -115,10 +115,10 @@ def plan_often(
     times: int,
 ) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
+    memory, move, unseen = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0), np.zeros(0)
     for _ in range(times):
         memory.used[0] = 0
-        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), memory)
+        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), unseen, memory)
     return move.Delta_u, move.status
 
 

@@ -125,6 +125,8 @@ class Command(NamedTuple):
     diagnosis: Diagnosis
     prediction: NDArray[np.float64] | None = None
     """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
+    plan: NDArray[np.float64] | None = None
+    """(n,) angles that it means to command at this and the following ticks [rad]."""
 
 
 @compiled

@@ -55,6 +55,18 @@ class Controller(Protocol):
     def step(self, state: VehicleState, path: Path) -> Command:
         """Answer a state at `base_link`."""
 
+    def check(self, path: Path) -> None:
+        """Refuse, with a ValueError, a path on which `step` would."""
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else, a guard or a fall-back.
+
+        Args:
+            steering: In force now [rad].
+            stepped: Whether it came in place of what the last step answered, or in a tick that
+                had no step.
+        """
+
     def reset(self) -> None:
         """Forget all earlier steps."""
 

@@ -38,6 +38,13 @@ class PurePursuit:
         rate = (self.steering - before) / self.period
         return Command(state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre)))
 
+    def check(self, path: Path) -> None:
+        """Take any path."""
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        self.steering = steering
+
     def _aim(self, rear: VehicleState) -> float:
         """atan(2 L sin(eta) / l_d): the circle through the rear axle, tangent to the car [rad]."""
         look_ahead = max(self.settings.look_ahead_time * rear.v_x, self.settings.min_look_ahead)
