@@ -17,7 +17,8 @@ from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.active_set import active_set, solve_in, solver_memory, solver_numbers
 from ampc_ros.belief import Limits, limits_of
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.gain_table import Gains, load_gain_table
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import LateralMpc

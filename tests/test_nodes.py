@@ -23,7 +23,7 @@ from std_msgs.msg import Float64
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import spin
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.controller import CONTROLLERS
+from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
 from sim_vehicle.simulator_node import TIMED_OUT, SimulatorNode

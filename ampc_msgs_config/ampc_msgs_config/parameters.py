@@ -97,6 +97,14 @@ class ControllerSettings(Checked):
     solver: str = choice("active_set", "hildreth", default="active_set")
     hildreth_sweeps: float = number(1, 1_000_000, "", 38)
     hildreth_tolerance: float = number(0.0, 1.0, "", 1.0e-7)
+    state_late: float = number(0.0, 10.0, "s", 0.2)
+    """Age of the state from which the steering goes on by the last plan."""
+    state_lost: float = number(0.0, 10.0, "s", 0.5)
+    """Age of the state from which the car is asked to stop."""
+    path_late: float = number(0.0, 3600.0, "s", 0.9)
+    """Age of the path from which a warning is given."""
+    path_lost: float = number(0.0, 3600.0, "s", 2.0)
+    """Age of the path from which the car is asked to stop."""
     look_ahead_time: float = number(0.0, 10.0, "s", 0.6)
     """Pure pursuit: look-ahead distance per speed."""
     min_look_ahead: float = number(0.1, 100.0, "m", 4.0)

@@ -14,7 +14,8 @@ from ampc_msgs_config.base_node import BaseNode, declare, spin
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import MODES, NANOSECONDS, STANDSTILL, Command, VehicleState
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
+from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_ros.controller import make_controller, warm_up
 from ampc_ros.preview import PreviewMpc
 from ampc_ros.ticks import Ticks
 

@@ -48,9 +48,10 @@ class LateralMpc:
         self.moves = max(gains.control_horizon for gains in table.nodes)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all earlier steps: no angle commanded, no increment known, no path."""
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget all earlier steps: the angle in force is given, no increment known, no path."""
         self.memory: Array = new_memory()
+        self.memory[STEERING] = steering
         self.path: Path | None = None
 
     @property

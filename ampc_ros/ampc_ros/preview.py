@@ -9,7 +9,16 @@ from ampc_msgs_config.path import NOT_CAUGHT, Array, Path
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.belief import Belief, belief_row, believed
 from ampc_ros.gain_table import GainTable
-from ampc_ros.preview_tick import EXPECTS, INDEX, STATE_DELTA, new_memory, preview_answer, send
+from ampc_ros.preview_tick import (
+    BEFORE,
+    EXPECTS,
+    INDEX,
+    SENT,
+    STATE_DELTA,
+    new_memory,
+    preview_answer,
+    send,
+)
 from ampc_ros.programme import scratch_numbers
 from ampc_ros.small_matrices import make_scratch
 
@@ -45,9 +54,11 @@ class PreviewMpc:
         self.scratch = make_scratch(max(scratch_numbers(*size) for size in sizes))
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all earlier steps: no command, no disturbance, no path."""
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget all earlier steps: one angle was always in force, no disturbance, no path."""
         self.memory: Array = new_memory(self.belief.actuator.ticks)
+        self.memory[BEFORE] = self.memory[STATE_DELTA] = steering
+        self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
 

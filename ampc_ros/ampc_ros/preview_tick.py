@@ -168,7 +168,7 @@ def expect(belief: Belief, memory: Array, x: Array, road: Road, scratch: Scratch
 def put_predicted(
     path: Path, s: float, speed: Array, lateral: Array, angles: Array, T: float, out: Array
 ) -> None:
-    """Fill where the car is expected at each step of the horizon, and the angles that take it there.
+    """Fill where the car is expected at each step of the horizon, and the angles that bring it.
 
     Args:
         path: The reference.

@@ -22,9 +22,9 @@ class PurePursuit:
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
         self.reset()
 
-    def reset(self) -> None:
-        """Forget path and angle."""
-        self.steering = 0.0
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget the path; the angle in force is given [rad]."""
+        self.steering = steering
         self.path: Path | None = None
 
     def step(self, state: VehicleState, path: Path) -> Command:
