@@ -47,6 +47,8 @@ class Choices(NamedTuple):
     """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
     static_path: bool = False
     """The path is published once and holds until the next one: it does not grow old."""
+    simulated_time: bool = False
+    """Time that goes back means a simulated car that is at its start again."""
 
 
 class Configuration(NamedTuple):
@@ -62,6 +64,13 @@ class Configuration(NamedTuple):
     base_link_to_cg: float
     """From the point that `odom` describes forward to the centre of gravity [m]."""
     static_path: bool
+    simulated_time: bool
+
+    @property
+    def sharpest_curvature(self) -> float:
+        """Curvature of the smallest circle that the car can be steered on [1/m]."""
+        angle = min(self.settings.max_angle, self.steering.max_angle)
+        return math.tan(angle) / self.chassis.wheelbase
 
 
 PARTS: dict[str, type[Checked]] = {
@@ -101,6 +110,7 @@ def configuration(choices: Choices) -> Configuration:
         read_gain_table(gains) if gains else {},
         chassis.cg_to_rear_axle if to_cg is None else to_cg,
         choices.static_path,
+        choices.simulated_time,
     )
 
 
