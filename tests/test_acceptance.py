@@ -3,8 +3,8 @@
 import math
 from functools import partial
 
+from launch_scripts.acceptance import answer, content, markdown, rows_of
 from launch_scripts.cases import Bar, Case, added, all_cases, fastest, worst
-from launch_scripts.compare import answer, content, markdown, rows_of
 from launch_scripts.trials import QUANTITIES, Trial
 
 CIRCLE = Trial("circle")

@@ -1,6 +1,6 @@
 """Drive all cases of the result table, the paper's formulation beside the preview, and judge them.
 
-`python launch_scripts/compare.py`; `--only scenarios iso3888` for a part.
+`python launch_scripts/acceptance.py`; `--only scenarios iso3888` for a part.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from launch_scripts.acceptance_figure import draw_comparison
 from launch_scripts.cases import BOTH, SPEEDS, Bar, Case, Measured, all_cases
-from launch_scripts.comparison_figure import draw_comparison
 from launch_scripts.trials import DATA, QUANTITIES
 
 HEADINGS = ("case", "quantity", "bar", *BOTH, "holds")
@@ -55,7 +55,9 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     groups = list(dict.fromkeys(case.group for case in all_cases()))
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--output", type=Path, default=Path("runs/compare"), help="folder to write")
+    parser.add_argument(
+        "--output", type=Path, default=Path("runs/acceptance"), help="folder to write"
+    )
     parser.add_argument("--only", nargs="+", default=groups, choices=groups, help="groups to drive")
     parser.add_argument("--workers", type=int, default=2, help="processes; default: %(default)s")
     return parser.parse_args(arguments)
@@ -164,10 +166,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     show(rows, console)
     chosen.output.mkdir(parents=True, exist_ok=True)
     text = json.dumps(content(cases, answers), indent=2, allow_nan=False) + "\n"
-    (chosen.output / "compare.json").write_text(text, encoding="utf-8")
+    (chosen.output / "acceptance.json").write_text(text, encoding="utf-8")
     text = markdown(rows) + eigenvalue_table(cases, answers)
-    (chosen.output / "compare.md").write_text(text, encoding="utf-8")
-    draw_comparison(("sc1", "sc3_varying"), chosen.output / "compare.png")
+    (chosen.output / "acceptance.md").write_text(text, encoding="utf-8")
+    draw_comparison(("sc1", "sc3_varying"), chosen.output / "acceptance.png")
     failed = sum(not row.holds for row in rows)
     console.print(f"{failed} bars not held; written to {chosen.output}")
     return int(failed > 0)
