@@ -1,9 +1,9 @@
 """Drive every controller on every road, in one run with the same car and noise; who is how good?
 
-`python launch_scripts/compare.py --controllers preview preview=my_gains.yaml --scenarios sc1 my_road.csv`
+`python launch_scripts/compare.py --controllers preview preview=mine.yaml --scenarios sc1 road.csv`
 leaves a table, a heat map and a page in `runs/compare`. A controller is NAME or NAME=GAINS, where
-GAINS is a YAML file or a shipped table; the same controller may stand there several times. The exit
-code is 0, also where a controller loses the car, and 2 where an option is wrong.
+GAINS is a YAML file or a shipped table, so that one controller is compared with several of them.
+The exit code is 0, also where a controller loses the car, and 2 where an option is wrong.
 """
 
 import argparse
@@ -38,6 +38,8 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
 """Roads of the paper, and those derived from them; they come first."""
+WIDTH = 120
+"""Of the printed table, at least [characters]."""
 WRONG = 2
 """Exit code where an option is wrong."""
 SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
@@ -139,7 +141,7 @@ def scenarios_of(chosen: argparse.Namespace, conditions: Conditions) -> list[Sce
     """Load the roads.
 
     Raises:
-        ValueError: Names the entry, and file, key and value or what is known; or one is there twice.
+        ValueError: Names the entry with file, key and value, or what is known, or is there twice.
     """
     check_range("--laps", chosen.laps, LAPS)
     size, found = load_vehicle(find("vehicles", conditions.vehicle)).size, []
@@ -198,6 +200,7 @@ def run(chosen: argparse.Namespace, command: str, console: Console) -> None:
         make_folder(chosen.output)
     cells = drive_all(contenders, scenarios, conditions, console)
     comparison = Comparison(command, conditions, contenders, scenarios, cells)
+    console.width = max(console.width, WIDTH)
     console.print(table_of(comparison, chosen.quantity))
     write(comparison, chosen.quantity, chosen.output)
     console.print(f"page.html, compare.json, .md and .png: {chosen.output}", markup=False)

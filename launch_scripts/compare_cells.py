@@ -18,6 +18,9 @@ from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.measurement import measured
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
+TIE = 0.005
+"""Relative difference that the three digits shown hardly tell."""
+
 
 class Quantity(NamedTuple):
     """Something to compare; less is better, or at least calmer."""
@@ -185,7 +188,11 @@ def judge(label: str, simulation: Watched, finished: Drive) -> Cell:
 
 
 def best_of(cells: list[Cell], key: str) -> set[str]:
-    """Name the contenders with the smallest number, among those that kept to the road."""
+    """Name the contenders with the smallest number among those that kept to the road.
+
+    Those within TIE of it are as good; where all are, nobody is best.
+    """
     numbers = {cell.contender: cell.numbers[key] for cell in cells if cell.kept}
-    smallest = min(numbers.values(), default=math.nan)
-    return {name for name, value in numbers.items() if value == smallest}
+    limit = (1.0 + TIE) * min(numbers.values(), default=math.nan)
+    best = {name for name, value in numbers.items() if value <= limit}
+    return set() if len(best) == len(cells) else best

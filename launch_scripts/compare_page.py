@@ -6,9 +6,10 @@ from string import Template
 
 from ampc_msgs_config import __version__
 from launch_scripts.bench_report import machine
-from launch_scripts.compare_cells import LOST, QUANTITIES, Cell, Quantity, best_of
+from launch_scripts.compare_cells import QUANTITIES, Cell, Quantity, best_of
 from launch_scripts.compare_figure import draw_matrix, draw_road, styles
 from launch_scripts.compare_table import Comparison, content, markdown, remarks, shared, short
+from launch_scripts.reproduce_cases import LOST
 from launch_scripts.reproduce_figures import save_png, svg
 from launch_scripts.reproduce_html import STYLE, Html, figure, items, paragraph, table, text
 
@@ -84,7 +85,7 @@ def road_section(comparison: Comparison) -> Html:
         if drawn is None:
             parts.append(paragraph("Nobody could drive here.", words))
             continue
-        best = ", ".join(sorted(best_of(list(cells), "rms_error_m"))) or "nobody"
+        best = ", ".join(sorted(best_of(cells, "rms_error_m"))) or "nobody alone"
         caption = f"Smallest RMS error: {best}.{words}"
         alt = f"Path, cross-track error and steering of the controllers on {name}."
         parts.append(figure(svg(drawn), [caption], alt))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.table import Table
@@ -12,7 +13,6 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.scenario import Scenario
 from launch_scripts.bench_report import machine
 from launch_scripts.compare_cells import (
-    LOST,
     QUANTITIES,
     Cell,
     Conditions,
@@ -20,6 +20,7 @@ from launch_scripts.compare_cells import (
     Quantity,
     best_of,
 )
+from launch_scripts.reproduce_cases import LOST
 
 MARK = "*"
 """Behind the smallest number of a scenario."""
@@ -61,9 +62,10 @@ def short(value: float) -> str:
 
 def shared(conditions: Conditions) -> str:
     """Say in words what all cells share."""
-    friction = "the tyres\u2019" if conditions.friction is None else f"{conditions.friction:g}"
+    friction = conditions.friction
+    road = "friction of the tyres" if friction is None else f"friction {friction:g}"
     noise = f"noise {conditions.noise}, seed {conditions.seed}" if conditions.noise else "no noise"
-    words = [f"vehicle {conditions.vehicle}", f"friction {friction}", noise]
+    words = [f"vehicle {Path(conditions.vehicle).stem}", road, noise]
     if conditions.delay:
         words.append(f"{conditions.delay:g} s of unknown steering delay")
     return ", ".join(words)
@@ -93,9 +95,9 @@ def table_of(comparison: Comparison, quantity: str) -> Table:
     title = f"{what.heading}; {shared(comparison.conditions)}"
     table = Table(title=Text(title), caption=Text(caption), title_justify="left")
     table.caption_justify = "left"
-    table.add_column("scenario")
+    table.add_column("scenario", no_wrap=True)
     for label in comparison.labels:
-        table.add_column(Text(label), justify="right")
+        table.add_column(Text(label.replace("=", "=\n")), justify="right", overflow="fold")
     for name, cells in comparison.rows():
         best = best_of(cells, what.key)
         table.add_row(Text(name), *(_cell(cell, what, cell.contender in best) for cell in cells))
