@@ -153,7 +153,7 @@ def _curves(driven: Driven) -> list[tuple[Array, Array]]:
     place = _straightened(driven.path, centre(driven).T)
     largest = maximum_filter1d(np.abs(driven.error), 2 * round(WINDOW / time[1] / 2) + 1)
     panels = driven.error, np.maximum(largest, FINEST), np.degrees(driven.drive.steering)
-    return [(a[:n], b[:n]) for a, b in (place.T, *((time, values) for values in panels))]
+    return [(place[:n, 0], place[:n, 1]), *((time[:n], values[:n]) for values in panels)]
 
 
 def _draw_path(ax: Axes, path: Path, end: float) -> None:
@@ -177,9 +177,9 @@ def _set_limits(axes: Sequence[Axes], curves: Mapping[str, Any], kept: Sequence[
     for ax, panel, least in ((error, 1, FINEST), (steering, 3, 0.1)):
         most = max(float(np.abs(curves[name][panel][1]).max()) for name in kept or curves)
         ax.set_ylim(-1.1 * most - least, 1.1 * most + least)
-    most = max(float(lines[2][1].max()) for lines in curves.values())
+    values = np.concatenate([lines[2][1] for lines in curves.values()])
     largest.set_yscale("log")
-    largest.set_ylim(FINEST, 1.5 * max(most, 2 * FINEST))
+    largest.set_ylim(0.8 * values.min(), 1.5 * values.max())
     largest.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     largest.yaxis.set_minor_formatter(NullFormatter())
     error.set_ylabel("cross-track\nerror [m]")
