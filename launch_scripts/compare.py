@@ -56,7 +56,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add, default = parser.add_argument, Conditions()
+    add = parser.add_argument
     names = f"{', '.join(CONTROLLERS)}, each with =GAINS or without; default: all"
     add("--controllers", nargs="+", metavar="NAME[=GAINS]", default=list(CONTROLLERS), help=names)
     names = f"{', '.join(roads())}, YAML or CSV files; default: all of these"
@@ -65,18 +65,25 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "largest along CSV files' paths [m/s^2]; -1: speed as given"
     add("--lateral-acceleration", type=float, default=-1.0, help=text)
     add("--laps", type=int, default=1, help="of CSV files' closed paths")
-    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
-    add("--settings", default=default.settings, help="of the controllers; default: %(default)s")
-    unknown = "unknown to the controllers"
-    add("--friction", type=float, help=f"of the road, {unknown}; default: that of the tyres")
-    text = f"of the steering, on top of the car's own and {unknown} [s]; default: 0"
-    add("--delay", type=float, default=0.0, help=text)
-    add("--noise", default="", help="of the measurement, such as x1; default: none")
-    add("--seed", type=int, default=0, help="of the noise, the same in every cell; default: 0")
+    add_conditions(parser, Conditions())
     text = "of table and heat map; the page shows all; default: %(default)s"
     add("--quantity", choices=QUANTITIES, default="rms", help=text)
     add("--output", type=Path, default=Path("runs/compare"), help="folder; default: %(default)s")
     return parser.parse_args(arguments)
+
+
+def add_conditions(parser: argparse.ArgumentParser, default: Conditions) -> None:
+    """Add the options of what all cells share."""
+    add, unknown = parser.add_argument, "unknown to the controllers"
+    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
+    add("--settings", default=default.settings, help="of the controllers; default: %(default)s")
+    text = f"of the road, {unknown}; default: that of the tyres"
+    add("--friction", type=float, default=default.friction, help=text)
+    text = f"of the steering, on top of the car's own and {unknown} [s]; default: 0"
+    add("--delay", type=float, default=default.delay, help=text)
+    add("--noise", default=default.noise, help="of the measurement, such as x1; default: none")
+    text = "of the noise, the same in every cell; default: 0"
+    add("--seed", type=int, default=default.seed, help=text)
 
 
 @contextmanager

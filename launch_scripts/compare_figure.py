@@ -49,8 +49,8 @@ def draw_matrix(comparison: Comparison, quantity: str) -> Figure:
     """Draw one quantity as a heat map, logarithmic, with its numbers."""
     what, labels = QUANTITIES[quantity], comparison.labels
     names = [scenario.name for scenario in comparison.scenarios]
+    size = (COLUMN * len(labels) + 2.4, ROW * len(names) + 1.3)
     with mpl.rc_context(FONT):
-        size = (COLUMN * len(labels) + 2.4, ROW * len(names) + 1.3)
         figure = Figure(figsize=size, layout="constrained")
         ax = figure.subplots()
         colors = _colors(comparison, what.key)
@@ -60,17 +60,22 @@ def draw_matrix(comparison: Comparison, quantity: str) -> Figure:
                 _draw_cell(ax, (column, row), cell, what, colors)
                 if cell.contender in best:
                     _frame(ax, (column, row))
-        ax.set_xlim(-0.5, len(labels) - 0.5)
-        ax.set_ylim(len(names) - 0.5, -0.5)
-        ax.set_xticks(range(len(labels)), [label.replace("=", "=\n") for label in labels])
-        ax.set_yticks(range(len(names)), names)
-        ax.tick_params(length=0, labeltop=True, labelbottom=False)
-        ax.spines[:].set_visible(False)
+        _name(ax, names, labels)
         ax.set_title(f"{what.heading}\n{shared(comparison.conditions)}", fontsize=9, loc="left")
         bar = figure.colorbar(colors, ax=ax, fraction=0.06, pad=0.02)
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         bar.ax.minorticks_off()
     return figure
+
+
+def _name(ax: Axes, rows: Sequence[str], columns: Sequence[str]) -> None:
+    """Write the names of rows and columns around the squares."""
+    ax.set_xlim(-0.5, len(columns) - 0.5)
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xticks(range(len(columns)), [name.replace("=", "=\n") for name in columns])
+    ax.set_yticks(range(len(rows)), rows)
+    ax.tick_params(length=0, labeltop=True, labelbottom=False)
+    ax.spines[:].set_visible(False)
 
 
 def _colors(comparison: Comparison, key: str) -> ScalarMappable:

@@ -72,26 +72,30 @@ def shared(conditions: Conditions) -> str:
 
 
 def remarks(comparison: Comparison) -> list[str]:
-    """Say who was lost or gave up, and why."""
+    """Say who was lost, then who gave up."""
     lost = [
         f"{cell.scenario}, {cell.contender}: {cell.fate}, largest error "
         f"{short(cell.numbers['max_error_m'])} m"
         for cell in comparison.cells
         if cell.numbers and not cell.kept
     ]
-    refused = [
+    return lost + reasons(comparison)
+
+
+def reasons(comparison: Comparison) -> list[str]:
+    """Say who gave up, and why."""
+    return [
         f"{cell.scenario}, {cell.contender}: {cell.fate}: {cell.reason}"
         for cell in comparison.cells
         if cell.reason
     ]
-    return lost + refused
 
 
 def table_of(comparison: Comparison, quantity: str) -> Table:
     """Lay out one quantity for the terminal."""
     what = QUANTITIES[quantity]
     words = f"{MARK} smallest of its scenario; lost: more than {LOST:g} m off the path"
-    caption = "\n".join([words, *(f"{cell}" for cell in remarks(comparison) if "refused" in cell)])
+    caption = "\n".join([words, *reasons(comparison)])
     title = f"{what.heading}; {shared(comparison.conditions)}"
     table = Table(title=Text(title), caption=Text(caption), title_justify="left")
     table.caption_justify = "left"
@@ -150,17 +154,14 @@ def content(comparison: Comparison) -> dict[str, Any]:
         "lost_beyond_m": LOST,
         "controllers": [_contender(contender) for contender in comparison.contenders],
         "scenarios": {s.name: {"duration_s": s.duration} for s in comparison.scenarios},
-        "cells": [
-            {
-                "scenario": cell.scenario,
-                "controller": cell.contender,
-                "fate": cell.fate,
-                "reason": cell.reason,
-                **{key: v if math.isfinite(v) else None for key, v in cell.numbers.items()},
-            }
-            for cell in comparison.cells
-        ],
+        "cells": [_cell_content(cell) for cell in comparison.cells],
     }
+
+
+def _cell_content(cell: Cell) -> dict[str, Any]:
+    numbers = {key: v if math.isfinite(v) else None for key, v in cell.numbers.items()}
+    told = {"scenario": cell.scenario, "controller": cell.contender, "fate": cell.fate}
+    return {**told, "reason": cell.reason, **numbers}
 
 
 def _contender(contender: Contender) -> dict[str, str]:
