@@ -91,7 +91,7 @@ def _draw_cell(
 ) -> None:
     """Draw a square: coloured, or hatched where the car did not keep to the road."""
     style: dict[str, Any] = {"facecolor": "white", "edgecolor": "#999999", "linewidth": 0.5}
-    style["hatch"], ink = "////" if cell.numbers else "....", INK
+    style["hatch"], ink = "////" if cell.numbers else "xxx", INK
     if cell.kept:
         color = colors.to_rgba(np.array(cell.numbers[quantity.key]))
         style = {"facecolor": color, "edgecolor": "white"}

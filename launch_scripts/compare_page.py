@@ -45,7 +45,7 @@ def overview(comparison: Comparison, quantity: str) -> Html:
     what = QUANTITIES[quantity]
     caption = (
         f"{what.label}, logarithmic colours; light is small. A frame marks the smallest of a "
-        "scenario. Hatched: the car was lost; dotted: the controller cannot take this path."
+        "scenario. Hatched: the car was lost; crossed: the controller cannot take this path."
     )
     drawn = svg(draw_matrix(comparison, quantity))
     return figure(drawn, [caption], f"{what.label} of all controllers in all scenarios.")
