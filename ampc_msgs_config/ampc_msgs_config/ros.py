@@ -40,7 +40,9 @@ CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"
 DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
 """Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
-TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, "rejected_inputs", "missed_ticks")
+ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
+"""What has been counted since the controller was configured."""
+TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
 """Names in `controller/tick`."""
 
 MAP = "map"

@@ -44,7 +44,7 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         self.decision: Decision | None = None
         self.condition: tuple[float, ...] = ()
         self.reported = -math.inf
-        self.commands_given = 0
+        self.commands_given = self.configurations = 0
         self.declare_choices()
         LifecycleNodeMixin.__init__(self)
         if declare(self, "autostart", True, "configure and activate at the start"):
@@ -79,7 +79,8 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         """Load and compile everything; only then publish and subscribe."""
         try:
             choices = self.choices({})
-            self.supervisor = Supervisor(configuration(choices), gain_file(choices))
+            made, source = configuration(choices), gain_file(choices)
+            self.supervisor = Supervisor(made, source, self.configurations + 1)
         except ValueError as error:
             self.wrong = error
             self.get_logger().error(str(error))
@@ -87,9 +88,9 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         warm_up(self.supervisor.ladder.controller)
         rehearse(self.supervisor.made)
         self.ticks = Ticks(self.supervisor.period)
-        self.decision, self.wrong = None, None
+        self.decision, self.wrong, self.commands_given = None, None, 0
         self.outputs = Outputs(self, lock_step=self.lock_step)
-        self.outputs.configuration(self.supervisor)
+        self.publish_configuration()
         self.listen()
         return super().on_configure(state)
 
@@ -226,9 +227,10 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         )
         if decision:
             timing = time.perf_counter() - start, self.ticks.lateness_ns / NANOSECONDS
-            self.outputs.decision(decision, timing, (self.rejected, self.ticks.missed))
-            self.decision = decision
             self.commands_given += 1
+            account = self.rejected, self.ticks.missed, self.commands_given
+            self.outputs.decision(decision, timing, account)
+            self.decision = decision
             self.tell(decision)
 
     def tell(self, decision: Decision) -> None:
@@ -269,8 +271,13 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
                 "controller is configured"
             )
         self.supervisor.reconfigure(made, gain_file(choices))
+        self.publish_configuration()
+
+    def publish_configuration(self) -> None:
+        """Say what the controller is made of now."""
+        self.configurations = self.supervisor.number
         self.outputs.configuration(self.supervisor)
-        self.get_logger().info(f"configuration {self.supervisor.number} in use")
+        self.get_logger().info(f"configuration {self.configurations} in use")
 
     def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Read gains, limits and guard from their files again; a bad one changes nothing."""
