@@ -8,7 +8,16 @@ from numpy.typing import ArrayLike
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.track import CAUSES, FUTURE, WINDOW, Refusal, Track, seconds_between, unusable
+from ampc_ros.track import (
+    CAUSES,
+    FUTURE,
+    WINDOW,
+    Refusal,
+    Track,
+    seconds,
+    seconds_between,
+    unusable,
+)
 
 CONFIRMED = 3
 """States in a row that confirm a clock that jumped back."""
@@ -74,7 +83,7 @@ class StateFilter:
         if self.track is None:
             self.track, self.now_ns = Track(state), now_ns
             return Verdict(True)
-        refusal = self.track.objection(state)
+        refusal = self.track.objection(state, silent=self._silent_before(state))
         if refusal is None:
             self.track.append(state)
             self.candidate, self.now_ns = None, now_ns
@@ -103,9 +112,15 @@ class StateFilter:
         lasted = seconds_between(candidate.first_ns, candidate.last.stamp_ns) >= WINDOW
         return lasted or (back and candidate.count >= CONFIRMED)
 
+    def _silent_before(self, state: VehicleState) -> bool:
+        """Tell whether nothing has come for longer than WINDOW, neither accepted nor refused."""
+        tracks = (self.track, self.candidate)
+        return all(seconds(track.last, state) > WINDOW for track in tracks if track)
+
     def _continued(self, state: VehicleState) -> Track:
         """Add a state to the candidate where it follows; where it contradicts, begin another."""
-        objection = self.candidate.objection(state) if self.candidate else None
+        silent = self._silent_before(state)
+        objection = self.candidate.objection(state, silent=silent) if self.candidate else None
         if self.candidate is None or (objection and objection.cause not in LATE):
             self.candidate = Track(state)
         elif objection is None:
