@@ -21,6 +21,8 @@ from ampc_ros.track import (
 
 CONFIRMED = 3
 """States in a row that confirm a clock that jumped back."""
+PACE = 0.5
+"""Least time in which they come, per time that they tell: a queue of old ones comes at once."""
 LATE = ("duplicate", "out_of_order")
 """States that say nothing new."""
 MAX_GAP = 25.0
@@ -51,7 +53,8 @@ class StateFilter:
     Note:
         A stamp that goes back is an overtaken message, or a clock that jumped. It is the clock
         where the node's own went back, too; or, beyond REORDERED, where three states in a row
-        go on from there; or where messages cannot overtake each other.
+        go on from there, as fast as they tell: those of a queue that empties itself come all at
+        once; or where messages cannot overtake each other.
     """
 
     def __init__(self, *, in_order: bool = False) -> None:
@@ -64,7 +67,7 @@ class StateFilter:
         self.rejected = dict.fromkeys(CAUSES, 0)
         self.track: Track | None = None
         self.candidate: Track | None = None
-        self.now_ns = 0
+        self.now_ns = self.candidate_ns = 0
 
     def reset(self) -> None:
         """Forget all states; the counts go on."""
@@ -108,21 +111,23 @@ class StateFilter:
             return True
         if refusal.cause == "out_of_order":
             return False
-        candidate = self._continued(state)
-        lasted = seconds_between(candidate.first_ns, candidate.last.stamp_ns) >= WINDOW
-        return lasted or (back and candidate.count >= CONFIRMED)
+        candidate = self._continued(state, now_ns)
+        lasted = seconds_between(candidate.first_ns, candidate.last.stamp_ns)
+        if back and seconds_between(self.candidate_ns, now_ns) < PACE * lasted:
+            return False
+        return lasted >= WINDOW or (back and candidate.count >= CONFIRMED)
 
     def _silent_before(self, state: VehicleState) -> bool:
         """Tell whether nothing has come for longer than WINDOW, neither accepted nor refused."""
         tracks = (self.track, self.candidate)
         return all(seconds(track.last, state) > WINDOW for track in tracks if track)
 
-    def _continued(self, state: VehicleState) -> Track:
+    def _continued(self, state: VehicleState, now_ns: int) -> Track:
         """Add a state to the candidate where it follows; where it contradicts, begin another."""
         silent = self._silent_before(state)
         objection = self.candidate.objection(state, silent=silent) if self.candidate else None
         if self.candidate is None or (objection and objection.cause not in LATE):
-            self.candidate = Track(state)
+            self.candidate, self.candidate_ns = Track(state), now_ns
         elif objection is None:
             self.candidate.append(state)
         return self.candidate

@@ -16,7 +16,7 @@ from ampc_ros.checks import StateFilter, check_path
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller, build_controller
 from ampc_ros.guard import Guard, Guarded
-from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST, Answer, Ladder
+from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, Answer, Ladder
 from ampc_ros.preview import PreviewMpc
 
 T = TypeVar("T")
@@ -219,7 +219,7 @@ class Supervisor:
         assert self.path is not None
         settings, old = self.made.settings, max(ages(self.state, now_ns))
         if old > settings.state_lost:
-            return self.ladder.stop(STATE_LOST, self.steering)
+            return self.ladder.go_blind(self.steering)
         if old > settings.state_late:
             return self.ladder.shift(STATE_LATE)
         answer = self.ladder.answer(self.state.value, self.path.value, self.steering)
