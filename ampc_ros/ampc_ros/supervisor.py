@@ -61,7 +61,7 @@ class Supervisor:
             ValueError: The gains make the controller's problem numerically singular.
         """
         self.filter = StateFilter()
-        self.number, self.resets = number - 1, 0
+        self.number, self.resets, self.ticked_ns = number - 1, 0, 0
         self.stop_requested = False
         self.state: Received[VehicleState] | None = None
         self.path: Received[Path] | None = None
@@ -119,7 +119,7 @@ class Supervisor:
 
     def restart(self, steering: float | None = None) -> None:
         """Let the controller start anew, from the angle in force or from another one [rad]."""
-        self.resets += 1
+        self.resets, self.ticked_ns = self.resets + 1, 0
         if steering is not None:
             self.guard.reset(steering)
         self.ladder.restart(self.steering)
@@ -189,6 +189,7 @@ class Supervisor:
         """
         if self.state is None or self.path is None:
             return None
+        self.ladder.shifted += self._left_out(now_ns)
         before, measured = self.steering, self._use_measured()
         answer = self._answer(now_ns)
         rate = (answer.steering - before) / self.period
@@ -204,6 +205,12 @@ class Supervisor:
             steering_rate=guarded.steering_rate,
         )
         return Decision(command, self._told(now_ns, answer, guarded, measured))
+
+    def _left_out(self, now_ns: int) -> int:
+        """Count the ticks since the last one in which nobody asked: the plan is older by them."""
+        elapsed = (now_ns - self.ticked_ns) / NANOSECONDS if self.ticked_ns else 0.0
+        self.ticked_ns = now_ns
+        return max(round(elapsed / self.period) - 1, 0)
 
     def _use_measured(self) -> float:
         """Tell the controller where the steering is, once for each measurement."""
