@@ -98,7 +98,20 @@ class Track:
             return Refusal("duplicate", f"odom: stamp {state.stamp_ns} ns has been here before")
         if dt < 0.0:
             return stepped_back(dt)
-        return jump(self.last, state, dt) or (None if silent else self._contradiction(state))
+        if silent:
+            return jump(self.last, state, dt)
+        return self._jump(state, dt) or self._contradiction(state)
+
+    def _jump(self, state: VehicleState, dt: float) -> Refusal | None:
+        """Tell of a jump from the last state, unless the twist leads there from a WINDOW before.
+
+        Then the last states were wrong, though not so much that they were refused: where a frozen
+        pose goes on, it must not be refused once more for having moved.
+        """
+        refusal = jump(self.last, state, dt)
+        if refusal and refusal.cause == "position_jump" and self._drift(state)[0] <= POSITION_JUMP:
+            return turn(self.last, state, dt)
+        return refusal
 
     def _added_up(self, state: VehicleState) -> tuple[VehicleState, float, float, float]:
         last, x, y, way = self.window[-1]
@@ -109,6 +122,18 @@ class Track:
 
     def _contradiction(self, state: VehicleState) -> Refusal | None:
         """Hold the pose against the twist, from the newest state that is WINDOW old to this one."""
+        off, way, since = self._drift(state)
+        most = DRIFT + DRIFT_SHARE * way
+        if off <= most:
+            return None
+        return Refusal(
+            "twist_contradicts_pose",
+            f"odom: pose differs by {off:.3g} m from the twist added up over "
+            f"{since:.3g} s, must be at most {most:.3g} m",
+        )
+
+    def _drift(self, state: VehicleState) -> tuple[float, float, float]:
+        """Give distance between pose and added-up twist [m], the way [m] and the time [s] of it."""
         first, x, y, way = self.window[0]
         for entry in self.window:
             if seconds(entry[0], state) < WINDOW:
@@ -116,14 +141,7 @@ class Track:
             first, x, y, way = entry
         _, x_now, y_now, way_now = self._added_up(state)
         off = math.hypot(state.x - first.x - (x_now - x), state.y - first.y - (y_now - y))
-        most = DRIFT + DRIFT_SHARE * (way_now - way)
-        if off <= most:
-            return None
-        return Refusal(
-            "twist_contradicts_pose",
-            f"odom: pose differs by {off:.3g} m from the twist added up over "
-            f"{seconds(first, state):.3g} s, must be at most {most:.3g} m",
-        )
+        return off, way_now - way, seconds(first, state)
 
 
 def seconds(earlier: VehicleState, later: VehicleState) -> float:
@@ -175,6 +193,11 @@ def jump(last: VehicleState, state: VehicleState, dt: float) -> Refusal | None:
     if moved > most:
         reason = f"odom: position jumped by {moved:.3g} m in {dt:.3g} s, must be at most"
         return Refusal("position_jump", f"{reason} {most:.3g} m")
+    return turn(last, state, dt)
+
+
+def turn(last: VehicleState, state: VehicleState, dt: float) -> Refusal | None:
+    """Tell of a jump of the heading from one state to the next; None where there is none."""
     turned = abs(wrap_angle(state.yaw - last.yaw))
     most = max(abs(last.yaw_rate), abs(state.yaw_rate)) * dt + HEADING_JUMP
     if turned > most:
