@@ -4,13 +4,9 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.ndimage import maximum_filter1d
 
@@ -20,18 +16,11 @@ from ampc_msgs_config.path_frame import path_frame
 from launch_scripts.compare_cells import QUANTITIES, Cell, Quantity, best_of
 from launch_scripts.compare_table import Comparison, number, shared
 from launch_scripts.figure import WANTED, in_frame
-from launch_scripts.reproduce_figures import FONT, INK, STYLE, label_ends, stack
+from launch_scripts.heat_map import Matrix, Square, draw
+from launch_scripts.reproduce_figures import STYLE, label_ends, stack
 from launch_scripts.reproduce_road_figure import centre, until_lost
 from launch_scripts.trials import Driven
 
-COLUMN, ROW = 1.15, 0.36
-"""Size of a cell [inch]."""
-MAP = "cividis_r"
-"""The same to the colour-blind; the best is light, so that grey prints keep the order."""
-LUMINANCE = (0.299, 0.587, 0.114)
-"""Of red, green and blue."""
-DARK = 0.5
-"""Luminance below which the number of a cell is white."""
 FINEST = 1.0e-4
 """Smallest error on a logarithmic axis [m]."""
 WINDOW = 1.0
@@ -46,67 +35,22 @@ SPARE: Sequence[tuple[str, Any]] = [(c, line) for line in ("-", (0, (6, 3))) for
 
 
 def draw_matrix(comparison: Comparison, quantity: str) -> Figure:
-    """Draw one quantity as a heat map, logarithmic, with its numbers."""
-    what, labels = QUANTITIES[quantity], comparison.labels
+    """Draw one quantity as a heat map, logarithmic, with its numbers; the best gets a frame."""
+    what, squares = QUANTITIES[quantity], []
+    for _, cells in comparison.rows():
+        best = best_of(cells, what.key)
+        squares.append([_square(cell, what, cell.contender in best) for cell in cells])
+    title = f"{what.heading}\n{shared(comparison.conditions)}"
     names = [scenario.name for scenario in comparison.scenarios]
-    size = (COLUMN * len(labels) + 2.4, ROW * len(names) + 1.3)
-    with mpl.rc_context(FONT):
-        figure = Figure(figsize=size, layout="constrained")
-        ax = figure.subplots()
-        colors = _colors(comparison, what.key)
-        for row, (_, cells) in enumerate(comparison.rows()):
-            best = best_of(cells, what.key)
-            for column, cell in enumerate(cells):
-                _draw_cell(ax, (column, row), cell, what, colors)
-                if cell.contender in best:
-                    _frame(ax, (column, row))
-        _name(ax, names, labels)
-        ax.set_title(f"{what.heading}\n{shared(comparison.conditions)}", fontsize=9, loc="left")
-        bar = figure.colorbar(colors, ax=ax, fraction=0.06, pad=0.02)
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        bar.ax.minorticks_off()
-    return figure
+    labels = [name.replace("=", "=\n") for name in comparison.labels]
+    return draw(Matrix(title, names, labels, squares))
 
 
-def _name(ax: Axes, rows: Sequence[str], columns: Sequence[str]) -> None:
-    """Write the names of rows and columns around the squares."""
-    ax.set_xlim(-0.5, len(columns) - 0.5)
-    ax.set_ylim(len(rows) - 0.5, -0.5)
-    ax.set_xticks(range(len(columns)), [name.replace("=", "=\n") for name in columns])
-    ax.set_yticks(range(len(rows)), rows)
-    ax.tick_params(length=0, labeltop=True, labelbottom=False)
-    ax.spines[:].set_visible(False)
-
-
-def _colors(comparison: Comparison, key: str) -> ScalarMappable:
-    """Spread the colours over the numbers of those who kept to the road."""
-    values = [cell.numbers[key] for cell in comparison.cells if cell.kept]
-    positive = [value for value in values if value > 0] or [1.0]
-    low, high = min(positive), max(positive)
-    return ScalarMappable(LogNorm(low, high if high > low else 1.01 * low, clip=True), MAP)
-
-
-def _draw_cell(
-    ax: Axes, at: tuple[int, int], cell: Cell, quantity: Quantity, colors: ScalarMappable
-) -> None:
-    """Draw a square: coloured, or hatched where the car did not keep to the road."""
-    style: dict[str, Any] = {"facecolor": "white", "edgecolor": "#999999", "linewidth": 0.5}
-    style["hatch"], ink = "////" if cell.numbers else "xxx", INK
-    if cell.kept:
-        color = colors.to_rgba(np.array(cell.numbers[quantity.key]))
-        style = {"facecolor": color, "edgecolor": "white"}
-        ink = "white" if np.dot(color[:3], LUMINANCE) < DARK else INK
-    ax.add_patch(Rectangle((at[0] - 0.5, at[1] - 0.5), 1, 1, **style))
-    box = None if cell.kept else {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-    ax.text(*at, number(cell, quantity), ha="center", va="center", color=ink, bbox=box)
-
-
-def _frame(ax: Axes, at: tuple[int, int]) -> None:
-    """Mark the best of a scenario: the number, drawn last, gets bold and a frame."""
-    text = ax.texts[-1]
-    text.set_fontweight("bold")
-    corner, color = (at[0] - 0.46, at[1] - 0.42), text.get_color()
-    ax.add_patch(Rectangle(corner, 0.92, 0.84, fill=False, edgecolor=color, linewidth=1.4))
+def _square(cell: Cell, quantity: Quantity, best: bool) -> Square:
+    """Give a square: coloured, or hatched where the car did not keep to the road."""
+    hatch = "" if cell.kept else "////" if cell.numbers else "xxx"
+    value = cell.numbers[quantity.key] if cell.kept else 0.0
+    return Square(number(cell, quantity), value, hatch, best)
 
 
 def styles(labels: Sequence[str]) -> dict[str, tuple[str, Any]]:
