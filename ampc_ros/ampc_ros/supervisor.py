@@ -167,6 +167,12 @@ class Supervisor:
         self.ladder.controller.check(path)
         self.path = Received(path, stamp_ns, now_ns)
 
+    def correct(self, steering: float) -> None:
+        """Go on from another angle than the one commanded last [rad]."""
+        if steering != self.steering:
+            self.guard.reset(steering)
+            self.ladder.controller.take_over(self.steering, stepped=True)
+
     def take_steering(self, angle: float) -> None:
         """Take a measured road-wheel angle, which the next tick uses [rad]."""
         self.measured = angle
