@@ -48,11 +48,19 @@ class Processes:
         end(nodes[1:])
         end(nodes[:1])
 
-    def start(self, name: str, module: str, parameters: Mapping[str, object]) -> None:
-        """Start a node: `python -m module` with ROS parameters."""
+    def start(
+        self,
+        name: str,
+        module: str,
+        parameters: Mapping[str, object],
+        renamed: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start a node: `python -m module` with ROS parameters, some of its topics renamed."""
         command = [sys.executable, "-m", module, "--ros-args"]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={yaml_text(value)}"]
+        for topic, other in (renamed or {}).items():
+            command += ["-r", f"{topic}:={other}"]
         with self.log(name).open("wb") as log:
             self.running[name] = subprocess.Popen(
                 command,

@@ -26,12 +26,19 @@ from ampc_msgs_config.scenario import Scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.gain_table import load_gain_table
 from launch_scripts.environment import ros_environment
+from launch_scripts.faults import load_plan
 from launch_scripts.processes import Processes
 from launch_scripts.result import Run, judge
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 START_TIME_OUT = 180.0
 """Wall time for the nodes to find each other, which includes compiling after an update [s]."""
+FAULTY = {
+    "odom": "nav_msgs/msg/Odometry",
+    "steering_state": "sensor_msgs/msg/JointState",
+    "reference_path": "nav_msgs/msg/Path",
+}
+"""What the controller gets from the injector where there are faults."""
 WRONG_SET_UP = 2
 """Exit code of this script and of a node whose options are wrong."""
 
@@ -69,6 +76,8 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--noise", "", "of the measurement; default: none", "noise")
     add("--seed", 0, "of the noise", type=int)
     add("--real-time", False, "run free instead of in lock-step", action="store_true")
+    text = "between simulator and controller, in real time; default: none"
+    add("--faults", "", text, "faults")
     add("--time-out", 10.0, "longest wait for a node's answer [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
     return parser.parse_args(arguments)
@@ -103,6 +112,8 @@ def prepare(chosen: argparse.Namespace) -> Run:
         load_gain_table(chosen.gain_table)
     if chosen.noise:
         load(MeasurementNoise, find("noise", chosen.noise))
+    if chosen.faults:
+        load_plan(chosen.faults)
     scenario = choose_scenario(Route(*(getattr(chosen, key) for key in Route._fields)), size)
     given = {key: value for key, value in vars(chosen).items() if key != "output"}
     name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{chosen.controller}"
@@ -128,18 +139,23 @@ def interrupt(number: int, _: Any) -> NoReturn:
 def drive(run: Run, console: Console) -> Ending:
     """Start the nodes, follow the drive, end the nodes; tells how it ended."""
     given = run.options
-    lock_step = not given["real_time"]
+    lock_step = not (given["real_time"] or given["faults"])
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
     route = {key: given[key] for key in Route._fields}
     control = {key: given[key] for key in ("controller", "settings", "gain_table")}
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
+    renamed = {topic: f"faulty/{topic}" for topic in FAULTY} if given["faults"] else {}
+    if given["faults"]:
+        record["topics"] = [f"{renamed[topic]}:{kind}" for topic, kind in FAULTY.items()]
     try:
         with Processes(run.folder / "log") as nodes:
             nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
             nodes.start("planner", "ampc_ros.planner_node", common | route)
-            nodes.start("controller", "ampc_ros.controller_node", common | control)
+            if given["faults"]:
+                nodes.start("injector", "launch_scripts.inject_node", {"faults": given["faults"]})
+            nodes.start("controller", "ampc_ros.controller_node", common | control, renamed)
             nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
             follow(nodes, run.scenario, console)
     except Ending as ending:
