@@ -66,16 +66,17 @@ class Memory:
             rng: numpy Generator; all chance comes from it.
         """
         self.window, self.amount, self.field, self.rng = window, amount, field, rng
-        self.history: deque[Message] = deque(maxlen=KEPT)
-        """Messages before the fault."""
+        self.history: dict[str, deque[Message]] = {}
+        """The newest messages before this one, by topic; shared by all faults of a line."""
+        self.held: dict[str, Message] = {}
         self.latest_ns = 0
         """Arrival of the last message let through in order [ns]."""
         self.begun = False
 
     def last(self, message: Message) -> Message:
         """Give the last message of a topic before the fault; where there was none, this one."""
-        before = (each for each in reversed(self.history) if each.topic == message.topic)
-        return next(before, message)
+        before = self.history.get(message.topic)
+        return self.held.setdefault(message.topic, before[-1] if before else message)
 
 
 Change = Callable[[Message, Memory], Sequence[Message]]
@@ -130,10 +131,10 @@ def hold(message: Message, memory: Memory) -> Sequence[Message]:
 
 def burst(message: Message, memory: Memory) -> Sequence[Message]:
     """Let old messages come in once more, all at once, before a new one."""
-    if memory.begun or not memory.history:
+    old, count = list(memory.history.get(message.topic, ())), round(memory.amount)
+    if memory.begun or not old:
         return [message]
     memory.begun = True
-    old, count = list(memory.history), round(memory.amount)
     again = [old[i % len(old)] for i in range(count)]
     return [*(each._replace(arrival_ns=message.arrival_ns) for each in again), message]
 

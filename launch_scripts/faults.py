@@ -1,6 +1,7 @@
 """Faults as data: what goes wrong, when, for how long; and the stream of messages under them."""
 
 import heapq
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -12,7 +13,7 @@ import numpy as np
 from ampc_msgs_config.config import build, find, read
 from ampc_msgs_config.parameters import Checked, check_range, choice, number
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from launch_scripts.fault_kinds import KINDS, Memory, Message, Window
+from launch_scripts.fault_kinds import KEPT, KINDS, Memory, Message, Window
 
 SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
 MOST = 10_000
@@ -95,6 +96,20 @@ def checked_seed(file: Path, seed: object) -> int:
     return seed
 
 
+class Active(NamedTuple):
+    """A fault, and what it knows."""
+
+    fault: Fault
+    memory: Memory
+
+
+def memory_of(plan: Plan, i: int) -> Memory:
+    """Give the memory with which a fault begins; each has its own chance."""
+    fault = plan.faults[i]
+    rng = np.random.default_rng([plan.seed, i])
+    return Memory(fault.window, fault.amount or 0.0, fault.field, rng)
+
+
 class Injector:
     """A line of messages with faults in it: what is put in comes out at its time, or never.
 
@@ -104,38 +119,35 @@ class Injector:
 
     def __init__(self, plan: Plan) -> None:
         """Stand empty at the start of a drive."""
-        self.active = [
-            (
-                KINDS[fault.kind],
-                Memory(
-                    fault.window,
-                    0.0 if fault.amount is None else fault.amount,
-                    fault.field,
-                    np.random.default_rng([plan.seed, i]),
-                ),
-            )
-            for i, fault in enumerate(plan.faults)
-        ]
-        self.faults = plan.faults
+        made = [Active(fault, memory_of(plan, i)) for i, fault in enumerate(plan.faults)]
+        self.later = sorted(made, key=lambda each: each.fault.start, reverse=True)
+        """Faults to come, the next one last."""
+        self.current: list[Active] = []
+        self.history: dict[str, deque[Message]] = {}
         self.waiting: list[tuple[int, int, Message]] = []
         self.order = count()
+
+    def faults(self, now_ns: int) -> list[Active]:
+        """Give the faults that are there now; time only goes on [ns]."""
+        while self.later and self.later[-1].memory.window.start_ns <= now_ns:
+            self.current.append(self.later.pop())
+        self.current = [each for each in self.current if each.memory.window.holds(now_ns)]
+        return self.current
 
     def put(self, message: Message) -> None:
         """Send a message on its way."""
         for each in self.changed(message):
             heapq.heappush(self.waiting, (each.arrival_ns, next(self.order), each))
+        self.history.setdefault(message.topic, deque(maxlen=KEPT)).append(message)
 
     def changed(self, message: Message) -> Sequence[Message]:
         """Give what arrives in place of a message; several faults act one after the other."""
         messages: Sequence[Message] = [message]
-        sent_ns = message.arrival_ns
-        for kind, memory in self.active:
-            if message.topic not in kind.topics or kind.change is None:
-                continue
-            if memory.window.holds(sent_ns):
+        for fault, memory in self.faults(message.arrival_ns):
+            kind = KINDS[fault.kind]
+            if kind.change and message.topic in kind.topics:
+                memory.history = self.history
                 messages = [out for each in messages for out in kind.change(each, memory)]
-            elif sent_ns < memory.window.start_ns:
-                memory.history.append(message)
         return messages
 
     def due(self, now_ns: int) -> list[Message]:
@@ -152,13 +164,10 @@ class Injector:
 
     def is_on(self, kind: str, now_ns: int) -> bool:
         """Whether a fault of a kind is there now."""
-        return any(each.kind == kind and each.window.holds(now_ns) for each in self.faults)
+        return any(each.fault.kind == kind for each in self.faults(now_ns))
 
     def clock_ns(self, now_ns: int) -> int:
         """Give what the controller's own clock shows at a time [ns]."""
-        jumps = (
-            each.amount or 0.0
-            for each in self.faults
-            if each.kind == "clock_jump" and each.window.holds(now_ns)
-        )
+        faults = (each.fault for each in self.faults(now_ns))
+        jumps = (fault.amount or 0.0 for fault in faults if fault.kind == "clock_jump")
         return now_ns + round(sum(jumps) * NANOSECONDS)

@@ -105,8 +105,7 @@ class InjectorNode(BaseNode):
 
     def on_diagnostics(self) -> None:
         """Report the faults that are there."""
-        since_ns = self.since_ns
-        there = [each.kind for each in self.line.faults if each.window.holds(since_ns)]
+        there = [each.fault.kind for each in self.line.faults(self.since_ns)]
         self.report(self.now_ns, f"injected: {', '.join(there)}" if there else "", {})
 
 
