@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from ampc_msgs_config.path_making import make_path
@@ -14,7 +13,7 @@ from ampc_ros.supervisor import Decision, Supervisor
 
 MS = 1_000_000
 START_NS = 1000 * NANOSECONDS
-WAVES = [(x, 2.0 * math.sin(0.05 * x)) for x in np.arange(0.0, 300.0, 1.0)]
+WAVES = [(float(x), 2.0 * math.sin(0.05 * x)) for x in range(300)]
 V = 9.0
 
 

@@ -149,7 +149,7 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
         told = decision.supervision._replace(rung=float(rung))
         ticks.append(whole.ticks[i]._replace(time=float(i), decision=decision._replace(
             supervision=told)))  # fmt: skip
-    time = np.arange(10.0)
+    time = np.arange(10, dtype=np.float64)
     return whole._replace(time=time, error=np.array(error), ticks=ticks)
 
 
