@@ -1,6 +1,7 @@
 """Read bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,12 +27,14 @@ class Entry(NamedTuple):
     """The ROS message."""
 
 
-def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
+def read(bag: Path, topics: Collection[str] = (), lazy: Collection[str] = ()) -> Iterator[Entry]:
     """Give the messages of a bag in the order in which they were recorded.
 
     Args:
         bag: Folder of the bag, or one MCAP file.
         topics: Full names of the topics wanted; empty means all.
+        lazy: Full names of those whose messages are decoded when they are called, for a reader
+            who needs few of them.
 
     Returns:
         Messages of types that are installed here; others are skipped. A file that ends early
@@ -43,7 +46,7 @@ def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
     found = files(bag)
     for file in found:
         check(file)
-    return (entry for file in found for entry in read_file(file, topics))
+    return (entry for file in found for entry in read_file(file, topics, lazy))
 
 
 def is_complete(bag: Path) -> bool:
@@ -92,11 +95,12 @@ def check(file: Path) -> None:
         raise ValueError(f"{file}: no bag: the file does not begin as MCAP files do")
 
 
-def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
+def read_file(file: Path, topics: Collection[str], lazy: Collection[str] = ()) -> Iterator[Entry]:
     """Give the messages of one MCAP file up to its end, wherever that is."""
     with file.open("rb") as stream:
         try:
-            yield from decoded(StreamReader(stream, validate_crcs=True).records, topics)
+            records = StreamReader(stream, validate_crcs=True).records
+            yield from decoded(records, topics, lazy)
         except Exception as error:  # what a damaged byte makes the libraries raise has no end
             if not stream.read(1) and not is_closed(file):
                 return
@@ -104,7 +108,9 @@ def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
             raise ValueError(f"{file}: damaged or foreign: {reason}") from error
 
 
-def decoded(records: Iterable[McapRecord], topics: Collection[str]) -> Iterator[Entry]:
+def decoded(
+    records: Iterable[McapRecord], topics: Collection[str], lazy: Collection[str] = ()
+) -> Iterator[Entry]:
     """Decode the messages of wanted topics whose type is installed."""
     schemas: dict[int, Schema] = {}
     decoders: dict[int, tuple[str, Decoder]] = {}
@@ -117,8 +123,9 @@ def decoded(records: Iterable[McapRecord], topics: Collection[str]) -> Iterator[
             schemas[record.id] = record
         elif isinstance(record, Channel) and (not topics or record.topic in topics):
             decode = decoder(record, schemas.get(record.schema_id))
+            late = record.topic in lazy
             if decode:
-                decoders[record.id] = record.topic, decode
+                decoders[record.id] = record.topic, partial(partial, decode) if late else decode
         elif isinstance(record, Message) and record.channel_id in decoders:
             topic, decode = decoders[record.channel_id]
             yield Entry(topic, record.log_time, decode(record.data))
