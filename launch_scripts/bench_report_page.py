@@ -36,9 +36,10 @@ SPEED, RADIUS = 15.0, 800.0
 PREDICTED = 45
 """Points of a prediction."""
 SUPERVISOR = (
-    "steering planned_steering rung reason clipped state_age path_age measured_steering "
-    "stop_requested configuration qp_fault rejected_inputs missed_ticks"
-).split()
+    *("steering", "planned_steering", "rung", "reason", "clipped", "state_age", "path_age"),
+    *("measured_steering", "stop_requested", "configuration", "qp_fault", "rejected_inputs"),
+    "missed_ticks",
+)
 NAMES = (*ros.DEBUG_QUANTITIES, *SUPERVISOR)
 
 

@@ -10,7 +10,6 @@ from ampc_msgs_config.path import Array, Path, Progress
 from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 
-
 REVERSAL_BAND = math.radians(0.2)
 """Smaller movements of the road wheel are no reversal; 3 deg at a steering wheel geared 16 to 1."""
 

@@ -1,0 +1,237 @@
+"""The plots over time of a report, one plotly figure each."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.path import Array
+from launch_scripts.report_drive import NOWHERE, Judged
+from launch_scripts.report_lines import Series, trace
+
+ROW, FIRST_ROW = 120, 250
+"""Height of further rows, of the first one [px]."""
+Lines = Callable[[Judged], Iterator[Series]]
+
+
+class Axis(NamedTuple):
+    """One row of a plot."""
+
+    title: str
+    lines: Lines
+    log: bool = False
+
+
+class Plot(NamedTuple):
+    """What a plot is called, what it shows, and its rows."""
+
+    key: str
+    title: str
+    words: str
+    axes: tuple[Axis, ...]
+
+
+class Panel(NamedTuple):
+    """A plot that is drawn."""
+
+    plot: Plot
+    figure: go.Figure
+
+
+def topic(drive: Judged, name: str) -> Array:
+    """Give the rows of a topic, or none."""
+    return drive.columns.values.get(name, NOWHERE)
+
+
+def cross_track(drive: Judged) -> Iterator[Series]:
+    """Distance from the path."""
+    if np.isfinite(drive.errors[:, 0]).any():
+        yield Series("cross-track error", drive.time, drive.errors[:, 0])
+
+
+def heading(drive: Judged) -> Iterator[Series]:
+    """Direction against the path's."""
+    if np.isfinite(drive.errors[:, 1]).any():
+        yield Series("heading error", drive.time, np.degrees(drive.errors[:, 1]))
+
+
+def steering(drive: Judged) -> Iterator[Series]:
+    """Command, what the guard made of it, measurement, bounds."""
+    speed = drive.states[:, 3]
+    for name, bound in (
+        ("bound of the controller", drive.known.angle_bound(speed)),
+        ("bound of the guard", drive.known.guard_bound(speed)),
+    ):
+        if bound is not None:
+            kind = 3 + name.endswith("guard")
+            for sign in (1.0, -1.0):
+                yield Series(name, drive.time, sign * np.degrees(bound), kind, bound=True)
+    measured = topic(drive, ros.STEERING_STATE)
+    if len(measured):
+        yield Series("measured", measured[:, 0], np.degrees(measured[:, 1]), 1)
+    planned = drive.columns.tick.get("planned_steering", NOWHERE)
+    published = drive.columns.tick.get("steering", planned)
+    if len(planned) and not np.array_equal(planned, published):
+        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 2, step=False)
+    if len(drive.steering):
+        yield Series("command", drive.time, np.degrees(drive.steering), 0)
+
+
+def speeds(drive: Judged) -> Iterator[Series]:
+    """Speed and target."""
+    target, odom = topic(drive, ros.TARGET_SPEED), topic(drive, ros.ODOM)
+    if len(target):
+        yield Series("target", target[:, 0], target[:, 1], 1)
+    yield Series("speed", odom[:, 0], odom[:, 4], 0)
+
+
+def lateral_acceleration(drive: Judged) -> Iterator[Series]:
+    """Speed times yaw rate."""
+    odom = topic(drive, ros.ODOM)
+    yield Series("lateral acceleration", odom[:, 0], odom[:, 4] * odom[:, 6])
+
+
+def wind(drive: Judged) -> Iterator[Series]:
+    """Components in the map's frame."""
+    rows = topic(drive, ros.WIND)
+    for k, name in enumerate(("to +x of the map", "to +y of the map")):
+        if len(rows):
+            yield Series(name, rows[:, 0], rows[:, k + 1], k)
+
+
+def quantities(*labels: tuple[str, str], scale: float = 1.0) -> Lines:
+    """Give the lines of quantities of the controller, each with its label."""
+
+    def lines(drive: Judged) -> Iterator[Series]:
+        for kind, (name, label) in enumerate(labels):
+            rows = drive.columns.tick.get(name, NOWHERE)
+            if np.isfinite(rows[:, 1]).any():
+                yield Series(label, rows[:, 0], scale * rows[:, 1], kind, step=scale == 1.0)
+
+    return lines
+
+
+PLOTS = (
+    Plot(
+        "cross_track",
+        "Cross-track error",
+        "Distance of the centre of gravity from the path, positive to its left.",
+        (Axis("m", cross_track),),
+    ),
+    Plot(
+        "heading",
+        "Heading error",
+        "Heading of the car minus that of the path, positive to the left.",
+        (Axis("deg", heading),),
+    ),
+    Plot(
+        "steering",
+        "Steering",
+        "Road-wheel angle, positive to the left: commanded, measured, and how far it may go.",
+        (Axis("deg", steering),),
+    ),
+    Plot("speed", "Speed", "Measured, and what was asked for.", (Axis("m/s", speeds),)),
+    Plot(
+        "lateral_acceleration",
+        "Lateral acceleration",
+        "Measured speed times measured yaw rate, positive to the left.",
+        (Axis("m/s\u00b2", lateral_acceleration),),
+    ),
+    Plot("wind", "Wind", "Velocity of the air over ground.", (Axis("m/s", wind),)),
+    Plot(
+        "gains",
+        "Gains in use",
+        "From the gain table, by speed: horizons in ticks, the Laguerre pole, the weights.",
+        (
+            Axis(
+                "ticks",
+                quantities(
+                    ("prediction_horizon", "horizon N_p"),
+                    ("control_horizon", "moves N_c"),
+                    ("laguerre_terms", "Laguerre terms N"),
+                ),
+            ),
+            Axis("pole", quantities(("laguerre_pole", "Laguerre pole \u03b1"))),
+            Axis(
+                "weight",
+                quantities(("output_weight", "error Q"), ("increment_weight", "increment R")),
+                log=True,
+            ),
+        ),
+    ),
+    Plot(
+        "constraints",
+        "Constraints",
+        "Constraint rows that hold with equality, and how far the soft lane was left.",
+        (
+            Axis("rows", quantities(("active_constraints", "active constraints"))),
+            Axis("m", quantities(("slack", "slack"))),
+        ),
+    ),
+    Plot(
+        "solve_time",
+        "Solve time",
+        "Wall time of one controller step; the scale is logarithmic.",
+        (Axis("\u00b5s", quantities(("solve_time", "solve time"), scale=1e6), log=True),),
+    ),
+)
+
+
+def panels(drives: Sequence[Judged], points: int) -> tuple[list[Panel], list[Plot]]:
+    """Draw all plots for which there are data; gives those without as well.
+
+    Args:
+        drives: One or several bags.
+        points: Of a line, at most, about.
+    """
+    drawn, empty = [], []
+    for plot in PLOTS:
+        figure = draw(plot, drives, points)
+        if figure.data:
+            drawn.append(Panel(plot, figure))
+        else:
+            empty.append(plot)
+    return drawn, empty
+
+
+def draw(plot: Plot, drives: Sequence[Judged], points: int) -> go.Figure:
+    """Draw one plot."""
+    rows, names = len(plot.axes), [drive.name for drive in drives]
+    heights = [FIRST_ROW, *[ROW] * (rows - 1)]
+    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.06, row_heights=heights)
+    for row, axis in enumerate(plot.axes, 1):
+        seen: set[str] = set()
+        for k, drive in enumerate(drives):
+            for series in axis.lines(drive):
+                line = trace(series, k, names, points)
+                line.showlegend = line.name not in seen
+                line.legendgroup = line.name
+                seen.add(line.name)
+                figure.add_trace(line, row, 1)
+        figure.update_yaxes(title_text=axis.title, type="log" if axis.log else None, row=row)
+    style(figure, sum(heights))
+    return figure
+
+
+def style(figure: go.Figure, height: int) -> None:
+    """Lay a figure over time out as all of them are."""
+    figure.update_layout(
+        template="none",
+        height=height,
+        margin={"l": 64, "r": 12, "t": 8, "b": 36},
+        font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+        hovermode="x unified",
+        hoverlabel={"bgcolor": "white"},
+        dragmode="zoom",
+        showlegend=True,
+        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0},
+        paper_bgcolor="white",
+        plot_bgcolor="white",
+    )
+    figure.update_xaxes(gridcolor="#e4e4e4", zeroline=False, ticks="outside", ticksuffix=" s")
+    figure.update_yaxes(
+        gridcolor="#e4e4e4", zeroline=True, zerolinecolor="#9a9a9a", title_standoff=6
+    )
