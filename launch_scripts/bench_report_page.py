@@ -134,9 +134,15 @@ def prediction(stamp_ns: int) -> Any:
     return ros.path_message(np.column_stack((x, y)), stamp_ns)
 
 
-def make_bag(folder: Path, minutes: float) -> Path:
-    """Write the bag of a drive: odometry at 50 Hz, a tick at 10 Hz, all topics of the contract."""
-    rng, begin = np.random.default_rng(0), NANOSECONDS
+def make_bag(folder: Path, minutes: float, start: float = 1.0) -> Path:
+    """Write the bag of a drive: odometry at 50 Hz, a tick at 10 Hz, all topics of the contract.
+
+    Args:
+        folder: Of the bag.
+        minutes: Of driving.
+        start: First stamp [s]; the last 5 s of each ten minutes are faulty.
+    """
+    rng, begin = np.random.default_rng(0), round(start * NANOSECONDS)
     with Recording(folder) as recording:
 
         def write(messages: dict[str, Any], stamp_ns: int) -> None:

@@ -1,7 +1,8 @@
 "use strict";
 const RATES = [0.5, 1, 2, 5, 10, 20, 50, 100];
 const PRINT_WIDTH = 680; // A4 between the margins [px]
-const FOLLOWED = 30; // half of what is seen about a car that is followed [m]
+const NEAR = 25; // half of what the close-up shows [m]
+const HEIGHTS = [260, 560]; // of the map [px]
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
 const at = (id) => document.getElementById(id);
 const plots = [];
@@ -49,8 +50,8 @@ function stateAt(drive, t) {
 function predictionAt(drive, t) {
   const all = drive.predictions;
   if (!all.length || t < all[0].t) return { x: [], y: [] };
-  const found = all[before(all.map((p) => p.t), t)];
-  return t - found.t > 2 * drive.prediction_step + 0.2 ? { x: [], y: [] } : found;
+  const found = all[before(drive.predicted_at, t)];
+  return t - found.t > report.oldest ? { x: [], y: [] } : found;
 }
 
 // Traces of one drive on the map: prediction, outline, marker.
@@ -73,18 +74,27 @@ function moveCars() {
     change.y.push(...place.y);
     change["marker.angle"].push(...place.angle);
     traces.push(drive.trace, drive.trace + 1, drive.trace + 2);
-    if (k === 0 && at("follow").checked) {
-      view["xaxis.range"] = [place.state.x - FOLLOWED, place.state.x + FOLLOWED];
-      view["yaxis.range"] = [place.state.y - FOLLOWED, place.state.y + FOLLOWED];
-    }
+    if (k === Number(at("which").value)) Object.assign(view, about(place.state));
     tell(drive, k, place.state);
   });
-  return Plotly.update(at("map"), change, view, traces);
+  return Promise.all([
+    Plotly.restyle(at("map"), change, traces),
+    Plotly.update(at("near"), change, view, traces),
+  ]);
+}
+
+// The close-up follows its car, as wide as it was zoomed.
+function about(state) {
+  const { xaxis, yaxis } = at("near")._fullLayout;
+  const half = (axis) => (axis.range[1] - axis.range[0]) / 2;
+  const [w, h] = [half(xaxis), half(yaxis)];
+  return { "xaxis.range": [state.x - w, state.x + w], "yaxis.range": [state.y - h, state.y + h] };
 }
 
 function tell(drive, k, state) {
   const cells = at("readout").tBodies[0].rows[k].cells;
-  const words = (value, digits, unit) => (value === null ? "\u2013" : `${value.toFixed(digits)} ${unit}`);
+  const words = (value, digits, unit) =>
+    value === null ? "\u2013" : `${value.toFixed(digits).replace(/^-(?=[0.]+$)/, "")} ${unit}`;
   cells[1].textContent = words(state.error, 3, "m");
   cells[2].textContent = words(state.heading, 2, "deg");
   cells[3].textContent = words(state.steering, 2, "deg");
@@ -131,8 +141,8 @@ function play(on) {
 }
 
 function onKey(event) {
-  const kind = event.target.closest("button, select, summary, a") ? "own" : event.target.id;
-  if (event.altKey || event.ctrlKey || event.metaKey || kind === "own" || kind === "follow") return;
+  const own = event.target.closest("button, select, summary, a");
+  if (event.altKey || event.ctrlKey || event.metaKey || own) return;
   const step = event.shiftKey ? 5 : report.period;
   if (event.key === " ") play(!playing);
   else if (event.key === "ArrowLeft") show(now - step);
@@ -154,8 +164,28 @@ async function onZoom(source, change) {
   moveCursors();
 }
 
+// As high as the path needs where a metre is as long on both axes.
+function heightOf(element, data) {
+  const span = (name) => {
+    const values = data.flatMap((line) => line[name]).filter((value) => value !== null);
+    return values.reduce((a, b) => Math.max(a, b), -Infinity) - values.reduce((a, b) => Math.min(a, b), Infinity);
+  };
+  const wanted = ((element.clientWidth - 76) * span("y")) / Math.max(span("x"), 1) * 1.15 + 110;
+  return Math.min(Math.max(wanted, HEIGHTS[0]), HEIGHTS[1]);
+}
+
+async function drawMaps() {
+  const { data, layout } = report.map, config = { ...CONFIG, scrollZoom: true };
+  const height = heightOf(at("map"), data), near = structuredClone({ data, layout });
+  await Plotly.newPlot(at("map"), data, { ...layout, height }, config);
+  for (const axis of [near.layout.xaxis, near.layout.yaxis]) axis.range = [-NEAR, NEAR];
+  Object.assign(near.layout, { height: Math.max(height, 300), showlegend: false });
+  for (const drive of report.drives) near.data[drive.trace + 2].visible = false;
+  await Plotly.newPlot(at("near"), near.data, near.layout, config);
+}
+
 async function draw() {
-  await Plotly.newPlot(at("map"), report.map.data, report.map.layout, { ...CONFIG, scrollZoom: true });
+  await drawMaps();
   for (const [key, figure] of Object.entries(report.plots)) {
     const plot = at(`plot-${key}`);
     await Plotly.newPlot(plot, figure.data, figure.layout, CONFIG);
@@ -176,7 +206,10 @@ function fillControls() {
   slider.step = 1;
   const usual = RATES.find((rate) => seconds / rate <= 60) || RATES.at(-1);
   for (const rate of RATES) at("rate").add(new Option(`${rate}\u00d7`, rate, rate === usual, rate === usual));
-  for (const drive of report.drives) {
+  for (const drive of report.drives) drive.predicted_at = drive.predictions.map((p) => p.t);
+  at("which-label").hidden = report.drives.length === 1;
+  for (const [k, drive] of report.drives.entries()) {
+    at("which").add(new Option(drive.name, k));
     const row = at("readout").tBodies[0].insertRow();
     const head = document.createElement("th");
     head.scope = "row";
@@ -192,13 +225,9 @@ function fillControls() {
 function listen() {
   at("slider").addEventListener("input", (event) => show(Number(event.target.value) / 1000));
   at("play").addEventListener("click", () => play(!playing));
-  at("follow").addEventListener("change", (event) => {
-    if (event.target.checked) return show(now);
-    Plotly.relayout(at("map"), { "xaxis.autorange": true, "yaxis.autorange": true });
-  });
+  at("which").addEventListener("change", () => show(now));
   document.addEventListener("keydown", onKey);
-  const all = () => [at("map"), ...plots];
-  const resized = (layout) => all().forEach((plot) => Plotly.relayout(plot, layout));
+  const resized = (layout) => [at("map"), ...plots].forEach((plot) => Plotly.relayout(plot, layout));
   window.addEventListener("beforeprint", () => resized({ width: PRINT_WIDTH }));
   window.addEventListener("afterprint", () => resized({ width: null, autosize: true }));
 }

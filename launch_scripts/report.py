@@ -29,6 +29,9 @@ from launch_scripts.reproduce import plain
 from sim_vehicle.parameters import load_vehicle
 
 FAILED, WRONG = 1, 2
+"""Exit codes."""
+WIDTH = 100
+"""Of the printed tables, at least [characters]."""
 
 
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -51,6 +54,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read, judge, write, show; gives the exit code."""
     chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
+    console.width = max(console.width, WIDTH)
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         limits = load(Thresholds, chosen.thresholds) if chosen.thresholds else None

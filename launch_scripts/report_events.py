@@ -34,8 +34,8 @@ FLAGS = {
 }
 BARS = 400
 """Of one row and bag, at most; nearer ones are joined."""
-ROW = 26
-"""Height of a row [px]."""
+ROW = 34
+"""Height of a row without its bars [px]."""
 
 
 class Event(NamedTuple):
@@ -68,7 +68,7 @@ def events(drive: Judged, number: int) -> Iterator[Event]:
     gaps = np.flatnonzero(np.diff(drive.time) > 1.5 * drive.period)
     if len(gaps):
         spans = np.column_stack((drive.time[gaps], drive.time[gaps + 1]))
-        yield Event("ticks missed", number, spans, drive.summary["missed_ticks"] or 0)
+        yield Event("ticks missed", number, spans, int(drive.summary["missed_ticks"] or 0))
 
 
 def flagged(label: str, number: int, rows: Array, in_order: float = 0.0) -> Iterator[Event]:
@@ -104,16 +104,17 @@ def events_panel(drives: Sequence[Judged]) -> Panel | None:
     labels = list(dict.fromkeys(each.label for each in found))
     figure = go.Figure()
     for each in found:
-        offset = 0.0 if len(drives) == 1 else 0.6 * (each.drive / (len(drives) - 1) - 0.5)
-        figure.add_trace(bars(each, labels.index(each.label) - offset, drives))
-    style(figure, 60 + ROW * max(2, len(labels)) * max(1, len(drives) // 2))
-    figure.update_layout(showlegend=False, hovermode="closest", margin={"l": 210})
+        place = 0.5 if len(drives) == 1 else each.drive / (len(drives) - 1)
+        figure.add_trace(bars(each, labels.index(each.label) + 0.06 + 0.3 * place, drives))
+    style(figure, 60 + (ROW + 6 * len(drives)) * max(1, len(labels)))
+    figure.update_layout(showlegend=False, hovermode="closest")
+    figure.update_xaxes(title={"text": "time [s]", "standoff": 4})
     figure.update_yaxes(
-        tickvals=list(range(len(labels))),
-        ticktext=labels,
-        range=[len(labels) - 0.4, -0.6],
-        zeroline=False,
+        showticklabels=False, range=[len(labels) - 0.4, -0.5], zeroline=False, showgrid=False
     )
+    for row, label in enumerate(labels):  # inside, so that all plots begin at the same place
+        at = {"x": 0, "xref": "paper", "xanchor": "left", "y": row - 0.24, "yanchor": "middle"}
+        figure.add_annotation(text=label, showarrow=False, **at)
     return Panel(PLOT, figure)
 
 

@@ -82,7 +82,7 @@ class Known(NamedTuple):
             )
             bound = np.interp(speed, at, angle)
             if self.chassis is None:
-                return bound
+                return np.asarray(bound)
             v2, length = np.maximum(speed, 0.1) ** 2, self.chassis.wheelbase
             reach = np.maximum(length + self.chassis.understeer_gradient * v2, length / 2)
             return np.asarray(np.minimum(bound, np.interp(speed, at, most) * reach / v2))

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-from tsdownsample import MinMaxLTTBDownsampler
+from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
 
 from ampc_msgs_config.path import Array
 
@@ -19,6 +19,9 @@ DIGITS = 4
 """Of the range of a line: rounded further, so that the page stays small."""
 FEW = 4
 """Down to this a thinned line makes sense [points]."""
+
+
+Places = NDArray[np.int64]
 
 
 class Series(NamedTuple):
@@ -53,29 +56,47 @@ def trace(series: Series, drive: int, names: list[str], points: int) -> go.Scatt
         points: That it may have at most, about.
     """
     time, values = thinned(series, points)
-    dash = DASHES[series.kind % len(DASHES)] if len(names) > 1 else "solid"
-    width = 1.2 if series.bound else 1.8
     label = series.label if len(names) == 1 else f"{names[drive]}: {series.label}"
+    color = color_of(drive, len(names), series)
     return go.Scatter(
         x=time,
         y=values,
         name=label,
+        legendgroup=series.label,
         mode="lines",
         connectgaps=False,
-        line={
-            "color": color_of(drive, len(names), series),
-            "width": width,
-            "dash": "dot" if series.bound else dash,
-            "shape": "hv" if series.step else "linear",
-        },
+        line=style_of(series, color, len(names)),
     )
+
+
+def key(series: Series) -> go.Scatter:
+    """Give a line for the legend alone: where colours are bags, dashes are what is shown."""
+    return go.Scatter(
+        x=[None],
+        y=[None],
+        name=series.label,
+        legendgroup=series.label,
+        mode="lines",
+        line=style_of(series, "#404040", 2),
+    )
+
+
+def style_of(series: Series, color: str, drives: int) -> dict[str, Any]:
+    """Give the style of a line."""
+    dash = "dot" if series.bound else DASHES[series.kind % len(DASHES)] if drives > 1 else "solid"
+    shape = "hv" if series.step else "linear"
+    return {"color": color, "width": 1.2 if series.bound else 1.8, "dash": dash, "shape": shape}
+
+
+SHAPE: Any = MinMaxLTTBDownsampler()
+EXTREMES: Any = MinMaxDownsampler()
 
 
 def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
     """Give at most about `points` places of a line, its peaks among them; None is a gap."""
     finite = np.isfinite(series.values)
     time, values = series.time[finite], series.values[finite]
-    keep = np.arange(len(time))
+    keep: Places = np.arange(len(time))
     if series.step and len(time) > FEW:
         keep = changes(values)
     if len(keep) > points:
@@ -89,26 +110,29 @@ def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
     return x, y
 
 
-def peaks(time: Array, values: Array, points: int) -> NDArray[np.int64]:
-    """Choose places by MinMaxLTTB: least and largest of every piece, then largest triangles."""
-    chosen = MinMaxLTTBDownsampler().downsample(
-        np.ascontiguousarray(time), np.ascontiguousarray(values), n_out=max(points, FEW)
-    )
-    return np.asarray(chosen, dtype=np.int64)
+def peaks(time: Array, values: Array, points: int) -> Places:
+    """Choose places by MinMaxLTTB, and the least and largest of each piece besides.
+
+    Largest triangles alone, which make the shape, may pass by the very top of a peak.
+    """
+    x, y = np.ascontiguousarray(time), np.ascontiguousarray(values)
+    shape = SHAPE.downsample(x, y, n_out=max(points, FEW))
+    extremes = EXTREMES.downsample(y, n_out=max(points // 8 * 2, FEW))
+    return np.union1d(shape, extremes).astype(np.int64)
 
 
-def changes(values: Array) -> NDArray[np.int64]:
+def changes(values: Array) -> Places:
     """Give the places at which a value that holds becomes another, and both ends."""
     moved = np.flatnonzero(np.diff(values)) + 1
     return np.unique(np.concatenate(([0], moved, [len(values) - 1])))
 
 
-def long_gaps(time: Array) -> NDArray[np.int64]:
+def long_gaps(time: Array) -> Places:
     """Give the places after which data are missing."""
     steps = np.diff(time)
     if not len(steps):
         return np.empty(0, dtype=np.int64)
-    return np.flatnonzero(steps > LONG_GAP * max(float(np.median(steps)), 1e-9))
+    return np.asarray(np.flatnonzero(steps > LONG_GAP * max(float(np.median(steps)), 1e-9)))
 
 
 def rounded(values: Array, digits: int) -> list[Any]:
@@ -125,4 +149,5 @@ def curve(points: Array, most: int) -> Array:
         return points
     place = np.arange(len(points), dtype=float)
     chosen = [peaks(place, points[:, k], most // 2) for k in (0, 1)]
-    return points[np.unique(np.concatenate(([0], *chosen, [len(points) - 1])))]
+    kept = np.unique(np.concatenate(([0], *chosen, [len(points) - 1])))
+    return np.asarray(points[kept])

@@ -1,7 +1,6 @@
 """The map of a report: paths, and all that is needed to move the cars along them."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,17 +9,18 @@ from numpy.typing import NDArray
 
 from ampc_msgs_config.bag_columns import BagColumns
 from ampc_msgs_config.path import Array
+from ampc_msgs_config.path_making import make_path
 from launch_scripts.report_drive import NOWHERE, Judged
 from launch_scripts.report_lines import PALETTE, curve, rounded
 
 MAX_FRAMES = 4000
 """Places of the car of all bags together; between them the page joins by straight lines."""
-MAX_PREDICTED = 300
+MAX_PREDICTED = 1000
 """Predictions of all bags together."""
-PREDICTED_POINTS = 24
+PREDICTED_POINTS = 12
 """Of one prediction."""
-HEIGHT = 560
-"""[px]."""
+OLDEST = 1.0
+"""Age up to which a prediction is shown [s]."""
 CENTIMETRE, MILLIRADIAN, MILLISECOND = 2, 4, 3
 """Decimals to which places, angles and times are rounded."""
 
@@ -42,7 +42,7 @@ def draw_map(drives: Sequence[Judged], points: int) -> Map:
                 add_reference(figure, path, points, first=not drawn)
                 drawn.append(path)
     for k, drive in enumerate(drives):
-        line = {"color": PALETTE[k % len(PALETTE)], "width": 2}
+        line = {"color": PALETTE[k % len(PALETTE)], "width": 2, "simplify": False}
         x, y = curve(centres(drive), points).T
         label = "driven path" if len(drives) == 1 else drive.name
         figure.add_trace(go.Scatter(x=plain(x), y=plain(y), mode="lines", name=label, line=line))
@@ -58,7 +58,16 @@ def seen_paths(columns: BagColumns) -> list[Array]:
     """Give the references to draw: the last one before the start, and up to 20 later ones."""
     later = [path.points for path in columns.paths if path.time > 0.0]
     before = [path.points for path in columns.paths if path.time <= 0.0][-1:]
-    return before + later[:: max(1, len(later) // 20)]
+    return [smooth(points) for points in before + later[:: max(1, len(later) // 20)]]
+
+
+def smooth(points: Array) -> Array:
+    """Give the curve through points that the errors refer to, or the points if there is none."""
+    try:
+        path = make_path(points)
+    except ValueError:
+        return points
+    return np.column_stack((path.x, path.y))
 
 
 def add_reference(figure: go.Figure, path: Array, points: int, first: bool) -> None:
@@ -72,7 +81,7 @@ def add_reference(figure: go.Figure, path: Array, points: int, first: bool) -> N
             name="reference path",
             legendgroup="reference",
             showlegend=first,
-            line={"color": "#c4c4c4", "width": 7},
+            line={"color": "#c4c4c4", "width": 7, "simplify": False},
             hoverinfo="skip",
         )
     )
@@ -84,11 +93,10 @@ def add_car(figure: go.Figure, color: str, first: bool) -> None:
         go.Scatter(
             x=[],
             y=[],
-            mode="lines+markers",
-            name="predicted path",
+            mode="lines",
+            name=f"predicted path, at most {OLDEST:g} s old",
             showlegend=first,
-            line={"color": "#000000", "width": 1.5, "dash": "dot"},
-            marker={"size": 4, "color": "#000000"},
+            line={"color": "#000000", "width": 2.5, "dash": "dot"},
             hoverinfo="skip",
         )
     )
@@ -138,7 +146,6 @@ def motion(drive: Judged, color: str, first: int, drives: int) -> dict[str, Any]
     x, y, yaw, speed = drive.states[kept, :4].T
     steering = np.degrees(drive.steering[kept]) if len(drive.steering) else np.empty(0)
     error = drive.errors[kept]
-    shown = predictions(drive, MAX_PREDICTED // drives)
     return {
         "name": drive.name,
         "color": color,
@@ -154,8 +161,7 @@ def motion(drive: Judged, color: str, first: int, drives: int) -> dict[str, Any]
         "heading": plain(np.degrees(error[:, 1]), 3),
         "steering": rounded(steering, 4),
         "rung": rungs(drive, kept),
-        "predictions": shown,
-        "prediction_step": max((b["t"] - a["t"] for a, b in pairwise(shown)), default=0.0),
+        "predictions": predictions(drive, MAX_PREDICTED // drives),
     }
 
 
@@ -189,7 +195,6 @@ def layout(figure: go.Figure) -> None:
     """Lay the map out: a metre is as long on both axes."""
     figure.update_layout(
         template="none",
-        height=HEIGHT,
         margin={"l": 64, "r": 12, "t": 8, "b": 44},
         font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         dragmode="pan",
@@ -198,6 +203,8 @@ def layout(figure: go.Figure) -> None:
         paper_bgcolor="white",
         plot_bgcolor="white",
     )
-    grid = {"gridcolor": "#e4e4e4", "zeroline": False, "ticks": "outside", "ticksuffix": " m"}
-    figure.update_xaxes(title_text="x in the map", **grid)
-    figure.update_yaxes(title_text="y in the map", scaleanchor="x", scaleratio=1, **grid)
+    grid = {"gridcolor": "#e4e4e4", "zeroline": False, "ticks": "outside"}
+    figure.update_xaxes(title={"text": "x in the map [m]", "standoff": 4}, **grid)
+    figure.update_yaxes(
+        title={"text": "y in the map [m]", "standoff": 6}, scaleanchor="x", scaleratio=1, **grid
+    )

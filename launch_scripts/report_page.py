@@ -16,8 +16,9 @@ from plotly.offline import get_plotlyjs
 from ampc_msgs_config import __version__
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.report_drive import Judged
+from launch_scripts.report_events import PLOT as EVENTS
 from launch_scripts.report_events import events_panel
-from launch_scripts.report_map import draw_map
+from launch_scripts.report_map import OLDEST, draw_map
 from launch_scripts.report_plots import Panel, Plot, panels
 from launch_scripts.report_tables import (
     Verdicts,
@@ -25,7 +26,7 @@ from launch_scripts.report_tables import (
     legend,
     provenance,
     summary_table,
-    verdict_tables,
+    verdict_table,
 )
 from launch_scripts.reproduce_html import Html, items, paragraph
 
@@ -80,7 +81,7 @@ def filled(drives: Sequence[Judged], judgement: Judgement | None, made: str, poi
         style=(HERE / "report.css").read_text(encoding="utf-8"),
         script=(HERE / "report.js").read_text(encoding="utf-8"),
         lead=lead(drives, judgement),
-        verdicts=verdict_tables(drives, judgement.verdicts, judgement.file) if judgement else "",
+        verdicts=verdict_table(drives, judgement.verdicts, judgement.file) if judgement else "",
         summary=summary_table(drives),
         legend=legend(drives),
         map_alt=escape(map_alt(drives)),
@@ -110,8 +111,9 @@ def lead(drives: Sequence[Judged], judgement: Judgement | None) -> Html:
         told = (
             "no path to compare with" if most is None else f"at most {most:.3g} m beside its path"
         )
-        who = f", {drive.known.controller}" if drive.known.controller else ""
-        words.append(f"{drive.name}{who}: {length:,.0f} m in {duration(drive)}, {told}.")
+        who = f" by {drive.known.controller}" if drive.known.controller else ""
+        name = f"{drive.name}: " if len(drives) > 1 else ""
+        words.append(f"{name}{length:,.0f} m{who} in {duration(drive)}, {told}.")
     text = Html(f'<p class="lead">{"<br>".join(map(escape, words))}</p>')
     if judgement is None:
         return text
@@ -151,9 +153,9 @@ def alt(panel: Panel) -> str:
     said = []
     for line in panel.figure.data:
         values = np.array([v for v in line.y if v is not None], dtype=float)
-        if line.showlegend is not False and len(values):
+        if len(values):
             said.append(f"{line.name} from {values.min():.3g} to {values.max():.3g}")
-    if panel.plot.key == "events":
+    if panel.plot.key == EVENTS.key:
         said = list(dict.fromkeys(line.name for line in panel.figure.data))
     return f"{panel.plot.title} over time. {'; '.join(said)}."
 
@@ -192,10 +194,11 @@ def content(drives: Sequence[Judged], drawn: Sequence[Panel], points: int) -> di
     end = max(float(drive.time[-1]) for drive in drives)
     for panel in drawn:
         panel.figure.update_xaxes(range=[begin, end])
-    drawn_map = draw_map(drives, 2 * points)
+    drawn_map = draw_map(drives, points)
     return {
         "begin": begin,
         "end": end,
+        "oldest": OLDEST,
         "period": min(drive.period for drive in drives),
         "rungs": [word.replace("_", " ") for word in RUNGS],
         "map": drawn_map.figure.to_plotly_json(),

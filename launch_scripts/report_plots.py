@@ -1,7 +1,8 @@
 """The plots over time of a report, one plotly figure each."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -10,7 +11,7 @@ from plotly.subplots import make_subplots
 from ampc_msgs_config import ros
 from ampc_msgs_config.path import Array
 from launch_scripts.report_drive import NOWHERE, Judged
-from launch_scripts.report_lines import Series, trace
+from launch_scripts.report_lines import Series, key, trace
 
 ROW, FIRST_ROW = 120, 250
 """Height of further rows, of the first one [px]."""
@@ -23,6 +24,8 @@ class Axis(NamedTuple):
     title: str
     lines: Lines
     log: bool = False
+    least: tuple[float, ...] = ()
+    """Values that are always seen, so that noise does not fill the plot."""
 
 
 class Plot(NamedTuple):
@@ -102,11 +105,11 @@ def wind(drive: Judged) -> Iterator[Series]:
             yield Series(name, rows[:, 0], rows[:, k + 1], k)
 
 
-def quantities(*labels: tuple[str, str], scale: float = 1.0) -> Lines:
-    """Give the lines of quantities of the controller, each with its label."""
+def quantities(*labels: tuple[str, str], scale: float = 1.0, first: int = 0) -> Lines:
+    """Give the lines of quantities of the controller, each with its label; kinds from `first`."""
 
     def lines(drive: Judged) -> Iterator[Series]:
-        for kind, (name, label) in enumerate(labels):
+        for kind, (name, label) in enumerate(labels, first):
             rows = drive.columns.tick.get(name, NOWHERE)
             if np.isfinite(rows[:, 1]).any():
                 yield Series(label, rows[:, 0], scale * rows[:, 1], kind, step=scale == 1.0)
@@ -119,28 +122,38 @@ PLOTS = (
         "cross_track",
         "Cross-track error",
         "Distance of the centre of gravity from the path, positive to its left.",
-        (Axis("m", cross_track),),
+        (Axis("error [m]", cross_track, least=(-0.05, 0.05)),),
     ),
     Plot(
         "heading",
         "Heading error",
         "Heading of the car minus that of the path, positive to the left.",
-        (Axis("deg", heading),),
+        (Axis("error [deg]", heading, least=(-0.5, 0.5)),),
     ),
     Plot(
         "steering",
         "Steering",
         "Road-wheel angle, positive to the left: commanded, measured, and how far it may go.",
-        (Axis("deg", steering),),
+        (Axis("angle [deg]", steering, least=(-1.0, 1.0)),),
     ),
-    Plot("speed", "Speed", "Measured, and what was asked for.", (Axis("m/s", speeds),)),
+    Plot(
+        "speed",
+        "Speed",
+        "Measured, and what was asked for.",
+        (Axis("speed [m/s]", speeds, least=(0.0,)),),
+    ),
     Plot(
         "lateral_acceleration",
         "Lateral acceleration",
         "Measured speed times measured yaw rate, positive to the left.",
-        (Axis("m/s\u00b2", lateral_acceleration),),
+        (Axis("a_y [m/s\u00b2]", lateral_acceleration, least=(-0.5, 0.5)),),
     ),
-    Plot("wind", "Wind", "Velocity of the air over ground.", (Axis("m/s", wind),)),
+    Plot(
+        "wind",
+        "Wind",
+        "Velocity of the air over ground.",
+        (Axis("wind [m/s]", wind, least=(-1.0, 1.0)),),
+    ),
     Plot(
         "gains",
         "Gains in use",
@@ -154,10 +167,16 @@ PLOTS = (
                     ("laguerre_terms", "Laguerre terms N"),
                 ),
             ),
-            Axis("pole", quantities(("laguerre_pole", "Laguerre pole \u03b1"))),
+            Axis(
+                "pole",
+                quantities(("laguerre_pole", "Laguerre pole \u03b1"), first=3),
+                least=(0.0, 1.0),
+            ),
             Axis(
                 "weight",
-                quantities(("output_weight", "error Q"), ("increment_weight", "increment R")),
+                quantities(
+                    ("output_weight", "error Q"), ("increment_weight", "increment R"), first=4
+                ),
                 log=True,
             ),
         ),
@@ -167,15 +186,17 @@ PLOTS = (
         "Constraints",
         "Constraint rows that hold with equality, and how far the soft lane was left.",
         (
-            Axis("rows", quantities(("active_constraints", "active constraints"))),
-            Axis("m", quantities(("slack", "slack"))),
+            Axis(
+                "rows", quantities(("active_constraints", "active constraints")), least=(0.0, 1.0)
+            ),
+            Axis("slack [m]", quantities(("slack", "slack")), least=(0.0, 0.01)),
         ),
     ),
     Plot(
         "solve_time",
         "Solve time",
         "Wall time of one controller step; the scale is logarithmic.",
-        (Axis("\u00b5s", quantities(("solve_time", "solve time"), scale=1e6), log=True),),
+        (Axis("time [\u00b5s]", quantities(("solve_time", "solve time"), scale=1e6), log=True),),
     ),
 )
 
@@ -202,18 +223,44 @@ def draw(plot: Plot, drives: Sequence[Judged], points: int) -> go.Figure:
     rows, names = len(plot.axes), [drive.name for drive in drives]
     heights = [FIRST_ROW, *[ROW] * (rows - 1)]
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.06, row_heights=heights)
+    kinds: dict[str, Series] = {}
     for row, axis in enumerate(plot.axes, 1):
-        seen: set[str] = set()
         for k, drive in enumerate(drives):
             for series in axis.lines(drive):
                 line = trace(series, k, names, points)
-                line.showlegend = line.name not in seen
-                line.legendgroup = line.name
-                seen.add(line.name)
+                line.showlegend = len(drives) == 1 and series.label not in kinds
+                kinds.setdefault(series.label, series)
                 figure.add_trace(line, row, 1)
-        figure.update_yaxes(title_text=axis.title, type="log" if axis.log else None, row=row)
+        scale(figure, axis, row)
+    for series in kinds.values() if len(drives) > 1 else ():
+        figure.add_trace(key(series))
     style(figure, sum(heights))
+    figure.update_xaxes(title={"text": "time [s]", "standoff": 4}, row=rows)
+    figure.update_layout(showlegend=len(kinds) > 1)
     return figure
+
+
+def scale(figure: go.Figure, axis: Axis, row: int) -> None:
+    """Set up the vertical axis of a row."""
+    figure.update_yaxes(title_text=axis.title, row=row)
+    if axis.least:
+        figure.update_yaxes(autorangeoptions={"include": list(axis.least)}, row=row)
+        if min(axis.least) == 0.0:
+            figure.update_yaxes(rangemode="nonnegative", row=row)
+    if axis.log:
+        figure.update_yaxes(type="log", **log_ticks(figure, row), row=row)
+
+
+def log_ticks(figure: go.Figure, row: int) -> dict[str, list[Any]]:
+    """Give the ticks 1, 2, 5 of each decade that the lines of a row reach."""
+    axis = "y" if row == 1 else f"y{row}"
+    lines = [line.y for line in figure.data if line.yaxis == axis]
+    values = [value for line in lines for value in line if value]
+    low, high = min(values, default=1.0), max(values, default=1.0)
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1, 2, 5) if len(decades) < 4 else (1,)
+    ticks = [step * 10.0**decade for decade in decades for step in steps]
+    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 
 
 def style(figure: go.Figure, height: int) -> None:
@@ -221,7 +268,7 @@ def style(figure: go.Figure, height: int) -> None:
     figure.update_layout(
         template="none",
         height=height,
-        margin={"l": 64, "r": 12, "t": 8, "b": 36},
+        margin={"l": 64, "r": 12, "t": 8, "b": 44},
         font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         hovermode="x unified",
         hoverlabel={"bgcolor": "white"},
@@ -231,7 +278,11 @@ def style(figure: go.Figure, height: int) -> None:
         paper_bgcolor="white",
         plot_bgcolor="white",
     )
-    figure.update_xaxes(gridcolor="#e4e4e4", zeroline=False, ticks="outside", ticksuffix=" s")
+    figure.update_xaxes(gridcolor="#e4e4e4", zeroline=False, ticks="outside")
     figure.update_yaxes(
-        gridcolor="#e4e4e4", zeroline=True, zerolinecolor="#9a9a9a", title_standoff=6
+        gridcolor="#e4e4e4",
+        zeroline=True,
+        zerolinecolor="#9a9a9a",
+        title_standoff=6,
+        automargin=False,
     )

@@ -193,6 +193,8 @@ class Verdict(NamedTuple):
     at_least: bool
     value: float | None
     """None: the bag does not tell, which fails."""
+    unit: str
+    """SI."""
 
     @property
     def passed(self) -> bool:
@@ -210,5 +212,6 @@ def verdicts(thresholds: Thresholds, summary: Mapping[str, float | None]) -> lis
         if limit != item.default:
             at_least = item.name.startswith("min_")
             name = item.name.removeprefix("min_")
-            result.append(Verdict(item.name, name, limit, at_least, summary[name]))
+            unit = item.metadata["unit"]
+            result.append(Verdict(item.name, name, limit, at_least, summary[name], unit))
     return result

@@ -24,8 +24,9 @@ def shown(name: str, value: float | None) -> str:
     """Give a quantity of the summary as a person reads it, without its unit."""
     if value is None:
         return UNTOLD
-    scaled = value * QUANTITIES[name].scale
-    return f"{scaled:,}" if isinstance(value, int) else f"{scaled:#.3g}".rstrip(".")
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value * QUANTITIES[name].scale:#.3g}".rstrip(".")
 
 
 def summary_table(drives: Sequence[Judged]) -> Html:
@@ -46,31 +47,33 @@ def summary_table(drives: Sequence[Judged]) -> Html:
     return table(heads, rows, [caption], title="Numbers of the whole drive")
 
 
-def verdict_tables(drives: Sequence[Judged], judged: Verdicts, file: str) -> Html:
-    """Give how each drive stands against the thresholds."""
-    tables = []
-    for drive, found in zip(drives, judged, strict=True):
-        rows: list[list[Parts | Part]] = [
-            [each.threshold, measured(each), bound(each), badge(each.passed)] for each in found
+def verdict_table(drives: Sequence[Judged], judged: Verdicts, file: str) -> Html:
+    """Give how each drive stands against the thresholds, in the units of their file."""
+    rows: list[list[Parts | Part]] = [
+        [
+            of_all[0].threshold,
+            bound(of_all[0]),
+            *([measured(v), " ", badge(v.passed)] for v in of_all),
         ]
-        heads = ["Threshold", "Measured", "Bound", "Verdict"]
-        tables.append(table(heads, rows, [], title=f"{drive.name}, held against {file}"))
+        for of_all in zip(*judged, strict=True)
+    ]
+    heads = ["Threshold", "Bound", *(drive.name for drive in drives)]
     title = '<section id="thresholds" aria-labelledby="th-head"><h2 id="th-head">Thresholds</h2>'
-    return Html(f"{title}\n{''.join(tables)}</section>")
+    found = table(heads, rows, [], title=f"Held against {file}")
+    return Html(f"{title}\n{found}</section>")
 
 
 def measured(verdict: Verdict) -> str:
-    """Give what was measured, with its unit."""
+    """Give what was measured, SI as in the file."""
     if verdict.value is None:
         return "not in the bag"
-    return f"{shown(verdict.quantity, verdict.value)} {QUANTITIES[verdict.quantity].unit}".strip()
+    return f"{verdict.value:.4g} {verdict.unit}".strip()
 
 
 def bound(verdict: Verdict) -> str:
-    """Give what is asked for, with its unit."""
-    quantity = QUANTITIES[verdict.quantity]
+    """Give what is asked for, SI as in the file."""
     sign = "\u2265" if verdict.at_least else "\u2264"
-    return f"{sign} {verdict.limit * quantity.scale:.6g} {quantity.unit}".strip()
+    return f"{sign} {verdict.limit:.6g} {verdict.unit}".strip()
 
 
 def badge(passed: bool, words: str = "") -> Html:
@@ -116,8 +119,8 @@ def facts_of(drive: Judged) -> Iterable[tuple[str, str]]:
     yield "Begin", begin(columns.start_ns)
     yield "Version of the controller", known.version or "not in the bag"
     yield "Controller", known.controller or "not in the bag"
-    period = f"{1 / drive.period:.4g} Hz" if drive.period else UNTOLD
-    yield "Rate", f"{period} ({'its settings' if known.settings else 'from the stamps'})"
+    source = "of its settings" if known.settings else "by its stamps"
+    yield "Rate", f"{1 / drive.period:.4g} Hz, {source}" if drive.period else UNTOLD
     if known.chassis:
         chassis = known.chassis
         yield "Vehicle", f"{chassis.mass:g} kg, wheelbase {chassis.wheelbase:.4g} m"

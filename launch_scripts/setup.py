@@ -14,7 +14,7 @@ setup(
     python_requires=">=3.10",
     packages=[PACKAGE],
     package_dir={PACKAGE: "."},  # the modules are plain scripts at the root of this folder
-    package_data={PACKAGE: ["fastdds.xml", "reproduce.html"]},
+    package_data={PACKAGE: ["fastdds.xml", "reproduce.html", "report.*", "thresholds.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "start = launch_scripts.start:main",
             "reproduce = launch_scripts.reproduce:main",
+            "report = launch_scripts.report:main",
             "tune = launch_scripts.tune:main",
         ]
     },

@@ -201,7 +201,9 @@ def finish(run: Run, ending: Ending, console: Console) -> int:
         complain(console, ending)
     try:
         console.print(judge(run, str(ending)))
-        console.print(f"bag, metrics.json, drive.png and logs: {run.folder}", markup=False)
+        console.print(
+            f"bag, report.html, metrics.json, drive.png and logs: {run.folder}", markup=False
+        )
     except ValueError as error:
         if ending.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)

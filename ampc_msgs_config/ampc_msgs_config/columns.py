@@ -15,7 +15,7 @@ from ampc_msgs_config.types import NANOSECONDS
 CONFIGURATIONS = tuple(
     f"{node}/{ros.CONFIGURATION}" for node in ("controller", "simulator", "planner")
 )
-MAX_PREDICTIONS = 400
+MAX_PREDICTIONS = 1000
 """Predicted paths that are kept of a bag at least, where it has more; they are thinned evenly."""
 Stamps = NDArray[np.int64]
 
