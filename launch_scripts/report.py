@@ -99,7 +99,7 @@ def names_of(bags: Sequence[Path]) -> list[str]:
         names = ["/".join(each[-depth:]) for each in parts]
         if len(set(names)) == len(names):
             return names
-    return [f"{names[k]} ({k + 1})" for k in range(len(names))]
+    return [f"{each[-1]} ({k})" for k, each in enumerate(parts, 1)]
 
 
 def page_file(output: Path | None, first: Path) -> Path:

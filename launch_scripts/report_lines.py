@@ -88,8 +88,8 @@ def style_of(series: Series, color: str, drives: int) -> dict[str, Any]:
     return {"color": color, "width": 1.2 if series.bound else 1.8, "dash": dash, "shape": shape}
 
 
-SHAPE: Any = MinMaxLTTBDownsampler()
-EXTREMES: Any = MinMaxDownsampler()
+SHAPE = MinMaxLTTBDownsampler()
+EXTREMES = MinMaxDownsampler()
 
 
 def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
@@ -118,7 +118,7 @@ def peaks(time: Array, values: Array, points: int) -> Places:
     x, y = np.ascontiguousarray(time), np.ascontiguousarray(values)
     shape = SHAPE.downsample(x, y, n_out=max(points, FEW))
     extremes = EXTREMES.downsample(y, n_out=max(points // 8 * 2, FEW))
-    return np.union1d(shape, extremes).astype(np.int64)
+    return np.asarray(np.union1d(shape, extremes), dtype=np.int64)
 
 
 def changes(values: Array) -> Places:
