@@ -124,7 +124,7 @@ def peaks(time: Array, values: Array, points: int) -> Places:
 def changes(values: Array) -> Places:
     """Give the places at which a value that holds becomes another, and both ends."""
     moved = np.flatnonzero(np.diff(values)) + 1
-    return np.unique(np.concatenate(([0], moved, [len(values) - 1])))
+    return np.asarray(np.unique(np.concatenate(([0], moved, [len(values) - 1]))))
 
 
 def long_gaps(time: Array) -> Places:

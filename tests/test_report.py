@@ -11,7 +11,7 @@ from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
-from ampc_msgs_config.types import Command, Diagnosis
+from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.bench_report_page import make_bag
 from launch_scripts.report import main, names_of, page_file
 from launch_scripts.report_drive import Judged, judge_bag
@@ -21,7 +21,6 @@ from launch_scripts.report_page import MAX_BYTES
 from launch_scripts.report_plots import panels
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
-    NANOSECONDS,
     TICK_NS,
     Messages,
     odometry,
