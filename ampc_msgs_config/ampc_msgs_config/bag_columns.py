@@ -13,25 +13,17 @@ import yaml
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import is_complete, read
 from ampc_msgs_config.bag_topics import topics
-from ampc_msgs_config.columns import CONFIGURATIONS, Collector, Column, Stamps
+from ampc_msgs_config.columns import Collector, Column, Stamps
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import NANOSECONDS
 
-DEBUG = {f"controller/debug/{name}": name for name in ros.DEBUG_QUANTITIES}
-JOINT, PATH, FLOAT = "sensor_msgs/msg/JointState", "nav_msgs/msg/Path", "std_msgs/msg/Float64"
-TYPES = {
-    ros.ODOM: "nav_msgs/msg/Odometry",
-    ros.STEERING_COMMAND: JOINT,
-    ros.STEERING_STATE: JOINT,
-    ros.TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
-    ros.WIND: "geometry_msgs/msg/Vector3Stamped",
-    ros.REFERENCE_PATH: PATH,
-    ros.PREDICTED_PATH: PATH,
-    ros.TICK: JOINT,
-    ros.STOP_REQUEST: "std_msgs/msg/Bool",
-    **dict.fromkeys(CONFIGURATIONS, "std_msgs/msg/String"),
-    **dict.fromkeys(DEBUG, FLOAT),
-}
+DEBUG = dict(zip(ros.QUANTITIES, ros.DEBUG_QUANTITIES, strict=True))
+WANTED = (
+    *(ros.ODOM, ros.STEERING_COMMAND, ros.STEERING_STATE, ros.TARGET_SPEED, ros.WIND),
+    *(ros.REFERENCE_PATH, ros.PREDICTED_PATH, ros.TICK, ros.STOP_REQUEST),
+    *ros.CONFIGURATIONS,
+    *ros.QUANTITIES,
+)
 
 
 class Sample(NamedTuple):
@@ -79,7 +71,7 @@ def read_columns(bag: File, namespace: str | None = None) -> BagColumns:
     prefix, notes = f"{given}/", list[str]()
     if not is_complete(bag):
         notes.append("The bag was not closed: its last moments may be missing.")
-    wanted = [prefix + name for name in TYPES if is_usable(bag, found, prefix + name, notes)]
+    wanted = [prefix + name for name in WANTED if is_usable(bag, found, prefix, name, notes)]
     if prefix + ros.TICK in wanted:
         wanted = [topic for topic in wanted if topic[len(prefix) :] not in DEBUG]
     collector = Collector(prefix)
@@ -101,17 +93,19 @@ def namespace_of(bag: File, found: Mapping[str, str]) -> str:
     raise ValueError(f"{bag}: holds no message on {ros.STEERING_COMMAND}, nor on {ros.ODOM}")
 
 
-def is_usable(bag: File, found: Mapping[str, str], topic: str, notes: list[str]) -> bool:
+def is_usable(
+    bag: File, found: Mapping[str, str], prefix: str, name: str, notes: list[str]
+) -> bool:
     """Tell whether a topic is there with its type; notes where it has another.
 
     Raises:
         ValueError: `odom` has another type.
     """
-    wanted = next(kind for name, kind in TYPES.items() if topic.endswith(f"/{name}"))
+    topic, wanted = prefix + name, ros.TYPES[name]
     if found.get(topic, wanted) == wanted:
         return topic in found
     sentence = f"{topic} holds {found[topic]}, not {wanted}"
-    if topic.endswith(f"/{ros.ODOM}"):
+    if name == ros.ODOM:
         raise ValueError(f"{bag}: {sentence}")
     notes.append(f"Left out: {sentence}.")
     return False

@@ -1,14 +1,10 @@
-"""What a bag announces, without reading its messages where it has an index."""
+"""What a bag announces, without reading its messages."""
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO
 
 from mcap.reader import make_reader
-from mcap.records import Channel, McapRecord, Schema
-from mcap.stream_reader import StreamReader
 
-from ampc_msgs_config.bag import check, files, is_closed
+from ampc_msgs_config.bag import check, files, plain, whole
 
 
 def topics(bag: Path) -> dict[str, str]:
@@ -20,33 +16,22 @@ def topics(bag: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for file in files(bag):
         check(file)
-        found |= announced(file)
+        try:
+            found |= announced(file)
+        except Exception as error:  # what a damaged byte makes the libraries raise has no end
+            reason = " ".join(str(error).split()) or "it ends early"
+            raise ValueError(f"{file}: damaged or foreign: {reason}") from error
     return found
 
 
 def announced(file: Path) -> dict[str, str]:
-    """Give topics and types of one file, up to its end, wherever that is."""
-    found: dict[str, str] = {}
-    schemas: dict[int, str] = {}
-    closed = is_closed(file)
-    with file.open("rb") as stream:
-        try:
-            for record in index(stream) if closed else StreamReader(stream).records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record.name
-                elif isinstance(record, Channel):
-                    found[record.topic] = schemas.get(record.schema_id, "")
-        except Exception as error:  # what a damaged byte makes the libraries raise has no end
-            if closed or stream.read(1):
-                reason = " ".join(str(error).split()) or "it ends early"
-                raise ValueError(f"{file}: damaged or foreign: {reason}") from error
-    return found
-
-
-def index(stream: BinaryIO) -> Iterable[McapRecord]:
-    """Give what stands at the end of a whole file, or all of it where there is no index."""
-    summary = make_reader(stream).get_summary()
-    if summary is not None and summary.channels:
-        return (*summary.schemas.values(), *summary.channels.values())
-    stream.seek(0)
-    return StreamReader(stream).records
+    """Give topics and types of one file: its index tells, and what is cut off gets one."""
+    with whole(plain(file)) as stream:
+        summary = make_reader(stream).get_summary()
+        if summary is None or not summary.channels:
+            stream.seek(0)
+            messages = make_reader(stream).iter_messages(log_time_order=False)
+            return {channel.topic: schema.name for schema, channel, _ in messages if schema}
+    names = {key: schema.name for key, schema in summary.schemas.items()}
+    channels = summary.channels.values()
+    return {channel.topic: names.get(channel.schema_id, "") for channel in channels}

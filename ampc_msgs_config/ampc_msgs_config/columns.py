@@ -12,9 +12,6 @@ from ampc_msgs_config.bag import Entry
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import NANOSECONDS
 
-CONFIGURATIONS = tuple(
-    f"{node}/{ros.CONFIGURATION}" for node in ("controller", "simulator", "planner")
-)
 MAX_PREDICTIONS = 1000
 """Predicted paths that are kept of a bag at least, where it has more; they are thinned evenly."""
 Stamps = NDArray[np.int64]
@@ -83,7 +80,7 @@ class Collector:
         name = entry.topic[len(self.prefix) :]
         if name == ros.PREDICTED_PATH:
             self.predicted.add(entry.message)
-        elif name in CONFIGURATIONS:
+        elif name in ros.CONFIGURATIONS:
             self.texts[name.partition("/")[0]] = entry.message.data
         else:
             column = self.columns.setdefault(name, Column())

@@ -40,13 +40,24 @@ def read(file: Path) -> dict[str, Any]:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise ValueError(f"{file}: {file.stat().st_size} bytes are more than {MAX_BYTES}")
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
+    return parsed(text, str(file))
+
+
+def parsed(text: str, where: str) -> dict[str, Any]:
+    """Parse a YAML mapping safely.
+
+    Raises:
+        ValueError: The text is no YAML, or no mapping; `where` it comes from is named.
+    """
+    try:
+        content = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(f"{file}: not YAML: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{where}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{file}: must hold a mapping of keys, not {type(content).__name__}")
+        raise ValueError(f"{where}: must hold a mapping of keys, not {type(content).__name__}")
     return content
 
 
