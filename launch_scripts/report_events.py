@@ -32,6 +32,8 @@ FLAGS = {
     "qp_fault": "solver made to fail",
     "outside_table": "outside the gain table",
 }
+COUNTERS = {"rejected_inputs": "inputs rejected", "resets": "controller started anew"}
+"""What has been counted since the controller was configured."""
 BARS = 400
 """Of one row and bag, at most; nearer ones are joined."""
 ROW = 34
@@ -60,6 +62,10 @@ def events(drive: Judged, number: int) -> Iterator[Event]:
                 yield event(text, number, rows[:, 0], rows[:, 1] == value)
     for name, label in FLAGS.items():
         yield from flagged(label, number, tick.get(name, NOWHERE))
+    for name, label in COUNTERS.items():
+        rows = tick.get(name, NOWHERE)
+        more = np.column_stack((rows[:, 0], np.diff(rows[:, 1], prepend=rows[:1, 1]) > 0))
+        yield from flagged(label, number, more)
     if "stop_requested" not in tick:
         stops = drive.columns.values.get(ros.STOP_REQUEST, NOWHERE)
         yield from flagged("stop requested", number, stops)

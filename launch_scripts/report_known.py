@@ -11,11 +11,13 @@ from ampc_msgs_config.parameters import (
     ChassisParameters,
     Checked,
     ControllerSettings,
+    GuardLimits,
     SizeParameters,
     SteeringParameters,
 )
 from ampc_msgs_config.path import Array
 from ampc_ros.belief import limits_of
+from ampc_ros.guard import bounds
 from ampc_ros.preview_model import angle_bound
 from ampc_ros.preview_mpc import FRICTION_SHARE
 from sim_vehicle.parameters import Vehicle
@@ -44,7 +46,7 @@ class Known(NamedTuple):
     steering: SteeringParameters | None
     settings: ControllerSettings | None
     size: SizeParameters | None
-    guard: Mapping[str, Any]
+    guard: GuardLimits | None
     to_cg: float
     """From the point that `odom` describes forward to the centre of gravity [m]."""
     notes: tuple[str, ...]
@@ -75,19 +77,10 @@ class Known(NamedTuple):
 
     def guard_bound(self, speed: Array) -> Array | None:
         """Give the guard's bound of the angle at speeds (n,) [m/s], in [rad]."""
-        try:
-            at, angle, most = (
-                np.asarray(self.guard[key], dtype=float)
-                for key in ("speed", "max_angle", "lateral_acceleration")
-            )
-            bound = np.interp(speed, at, angle)
-            if self.chassis is None:
-                return np.asarray(bound)
-            v2, length = np.maximum(speed, 0.1) ** 2, self.chassis.wheelbase
-            reach = np.maximum(length + self.chassis.understeer_gradient * v2, length / 2)
-            return np.asarray(np.minimum(bound, np.interp(speed, at, most) * reach / v2))
-        except (KeyError, TypeError, ValueError):
+        if self.guard is None or self.chassis is None:
             return None
+        found = (bounds(self.guard, self.chassis, v) for v in speed.tolist())
+        return np.array([min(each.angle, each.acceleration) for each in found])
 
 
 def known_of(columns: BagColumns, given: Given) -> Known:
@@ -107,12 +100,14 @@ def known_of(columns: BagColumns, given: Given) -> Known:
 
     car = given.vehicle
     chassis = section(ChassisParameters, control, "chassis", car.chassis if car else None)
+    numbers = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
+    if len(numbers) > 1:
+        notes.append(f"The configuration was changed {len(numbers) - 1} times: the last is shown.")
     size = section(SizeParameters, vehicle, "size", car.size if car else None)
     if not control:
         notes.append(untold(given))
     if size is None:
         notes.append("The size of the car is not in the bag: its outline on the map is assumed.")
-    guard = control.get("guard")
     return Known(
         str(control.get("controller", given.controller)),
         str(control.get("version", "")),
@@ -120,7 +115,7 @@ def known_of(columns: BagColumns, given: Given) -> Known:
         section(SteeringParameters, control, "steering", car.steering if car else None),
         section(ControllerSettings, control, "settings", given.settings),
         size,
-        guard if isinstance(guard, Mapping) else {},
+        section(GuardLimits, control, "guard", None),
         distance_to_cg(control.get("base_link_to_cg"), chassis, notes),
         tuple(notes),
     )

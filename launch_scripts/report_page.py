@@ -31,6 +31,7 @@ from launch_scripts.report_tables import (
 from launch_scripts.reproduce_html import Html, items, paragraph
 
 HERE = Path(__file__).parent
+STYLES = ("page.css", "report.css")
 MAX_BYTES = 2_950_000
 """Of the page."""
 POINTS = 2000
@@ -78,7 +79,7 @@ def filled(drives: Sequence[Judged], judgement: Judgement | None, made: str, poi
     template = Template((HERE / "report.html").read_text(encoding="utf-8"))
     return template.substitute(
         title=escape(title_of(drives)),
-        style=(HERE / "report.css").read_text(encoding="utf-8"),
+        style="".join((HERE / css).read_text(encoding="utf-8") for css in STYLES),
         script=(HERE / "report.js").read_text(encoding="utf-8"),
         lead=lead(drives, judgement),
         verdicts=verdict_table(drives, judgement.verdicts, judgement.file) if judgement else "",

@@ -126,6 +126,10 @@ def facts_of(drive: Judged) -> Iterable[tuple[str, str]]:
         yield "Vehicle", f"{chassis.mass:g} kg, wheelbase {chassis.wheelbase:.4g} m"
     else:
         yield "Vehicle", "not in the bag"
+    gains = columns.configuration.get("controller", {}).get("gains")
+    origin = gains.get("provenance") if isinstance(gains, Mapping) else None
+    if isinstance(origin, Mapping) and "command" in origin:
+        yield "Gains", str(origin["command"])[:200]
     yield from simulated(columns.configuration.get("simulator", {}))
 
 

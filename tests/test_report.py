@@ -11,6 +11,7 @@ from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
+from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.bench_report_page import make_bag
 from launch_scripts.report import main, names_of, page_file
@@ -212,7 +213,10 @@ def test_the_bound_of_the_angle_is_the_narrower_of_settings_and_tyre(whole: Path
 
 
 def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whole: Path) -> None:
-    limits = {"speed": [0.0, 20.0], "max_angle": [0.6, 0.2], "lateral_acceleration": [3.0, 3.0]}
+    row = {"max_rate": (1.0, 1.0), "lateral_jerk": (9.0, 9.0), "measured_step": (1.0, 1.0)}
+    limits = GuardLimits(
+        speed=(0.0, 20.0), max_angle=(0.6, 0.2), lateral_acceleration=(3.0, 3.0), **row
+    )
     known = judged(whole).known._replace(guard=limits)
     chassis = known.chassis
     assert chassis is not None
@@ -220,7 +224,7 @@ def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whol
     assert bound is not None
     expected = 3.0 * (chassis.wheelbase / 400.0 + chassis.understeer_gradient)
     np.testing.assert_allclose(bound, [0.58, expected])
-    assert known._replace(guard={"speed": "fast"}).guard_bound(np.array([1.0])) is None
+    assert known._replace(guard=None).guard_bound(np.array([1.0])) is None
 
 
 def thresholds(folder: Path, text: str) -> str:
