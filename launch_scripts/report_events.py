@@ -64,7 +64,7 @@ def events(drive: Judged, number: int) -> Iterator[Event]:
         yield from flagged(label, number, tick.get(name, NOWHERE))
     for name, label in COUNTERS.items():
         rows = tick.get(name, NOWHERE)
-        more = np.column_stack((rows[:, 0], np.diff(rows[:, 1], prepend=rows[:1, 1]) > 0))
+        more = np.column_stack((rows[1:, 0], np.diff(rows[:, 1]) > 0)).astype(float)
         yield from flagged(label, number, more)
     if "stop_requested" not in tick:
         stops = drive.columns.values.get(ros.STOP_REQUEST, NOWHERE)

@@ -83,7 +83,8 @@ def key(series: Series) -> go.Scatter:
 
 def style_of(series: Series, color: str, drives: int) -> dict[str, Any]:
     """Give the style of a line."""
-    dash = "dot" if series.bound else DASHES[series.kind % len(DASHES)] if drives > 1 else "solid"
+    several = drives > 1 or series.bound
+    dash = DASHES[series.kind % len(DASHES)] if several else "solid"
     shape = "hv" if series.step else "linear"
     return {"color": color, "width": 1.2 if series.bound else 1.8, "dash": dash, "shape": shape}
 

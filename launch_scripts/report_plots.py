@@ -13,8 +13,8 @@ from ampc_msgs_config.path import Array
 from launch_scripts.report_drive import NOWHERE, Judged
 from launch_scripts.report_lines import Series, key, trace
 
-ROW, FIRST_ROW = 120, 250
-"""Height of further rows, of the first one [px]."""
+ROW, FIRST_ROW, LEGEND = 120, 250, 50
+"""Height of further rows, of the first one, of many entries in the legend [px]."""
 Lines = Callable[[Judged], Iterator[Series]]
 
 
@@ -69,7 +69,7 @@ def steering(drive: Judged) -> Iterator[Series]:
         ("bound of the guard", drive.known.guard_bound(speed)),
     ):
         if bound is not None:
-            kind = 3 + name.endswith("guard")
+            kind = 2 + name.endswith("guard")
             for sign in (1.0, -1.0):
                 yield Series(name, drive.time, sign * np.degrees(bound), kind, bound=True)
     measured = topic(drive, ros.STEERING_STATE)
@@ -78,7 +78,7 @@ def steering(drive: Judged) -> Iterator[Series]:
     planned = drive.columns.tick.get("planned_steering", NOWHERE)
     published = drive.columns.tick.get("steering", planned)
     if len(planned) and not np.array_equal(planned, published):
-        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 2, step=False)
+        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 4)
     if len(drive.steering):
         yield Series("command", drive.time, np.degrees(drive.steering), 0)
 
@@ -234,7 +234,7 @@ def draw(plot: Plot, drives: Sequence[Judged], points: int) -> go.Figure:
         scale(figure, axis, row)
     for series in kinds.values() if len(drives) > 1 else ():
         figure.add_trace(key(series))
-    style(figure, sum(heights))
+    style(figure, sum(heights) + (LEGEND if len(kinds) > 2 else 0))
     figure.update_xaxes(title={"text": "time [s]", "standoff": 4}, row=rows)
     figure.update_layout(showlegend=len(kinds) > 1)
     return figure

@@ -60,7 +60,7 @@ QUANTITIES = {
     "ticks": Quantity("Ticks"),
     "missed_ticks": Quantity("Missed ticks", "", 1.0, "gaps between the stamps of commands"),
     "fall_backs": Quantity("Fall-backs", "ticks", 1.0, "ticks below the rung 'slack'"),
-    **{f"rung_{name}": Quantity(f"Rung {name}", "ticks") for name in RUNGS},
+    **{f"rung_{name}": Quantity(f"Rung {name.replace('_', ' ')}", "ticks") for name in RUNGS},
     "unsolved_ticks": Quantity("Programmes not solved", "ticks"),
     "stop_requests": Quantity("Stop requests", "", 1.0, "times that one begins"),
     "solve_time_median": Quantity("Solve time, median", "\u00b5s", MICRO),
