@@ -16,6 +16,8 @@ from launch_scripts.report_known import Given, Known, known_of
 from launch_scripts.report_summary import Summary, Told, summarize
 
 NOWHERE = np.empty((0, 2))
+WORDS = (-1.0, 1000.0)
+"""A quantity that counts words is none beyond these."""
 MISSING = {
     ros.STEERING_COMMAND: "no steering_command: steering is left out, and every state is judged",
     ros.REFERENCE_PATH: "no reference_path: errors are left out",

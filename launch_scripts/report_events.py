@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config import ros
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS
-from launch_scripts.report_drive import NOWHERE, Judged
+from launch_scripts.report_drive import NOWHERE, WORDS, Judged
 from launch_scripts.report_lines import PALETTE
 from launch_scripts.report_plots import Panel, Plot, style
 
@@ -55,7 +55,7 @@ def events(drive: Judged, number: int) -> Iterator[Event]:
     tick = drive.columns.tick
     for name, (label, words) in COUNTED.items():
         rows = tick.get(name, NOWHERE)
-        for value in np.unique(rows[np.isfinite(rows[:, 1]), 1]).astype(int).tolist():
+        for value in np.unique(np.clip(rows[:, 1], *WORDS)).astype(int).tolist():
             if value:
                 word = words[value] if 0 <= value < len(words) else str(value)
                 text = f"{label}: {word.replace('_', ' ')}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.bag_columns import BagColumns
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_making import make_path
-from launch_scripts.report_drive import NOWHERE, Judged
+from launch_scripts.report_drive import NOWHERE, WORDS, Judged
 from launch_scripts.report_lines import PALETTE, curve, rounded
 
 MAX_FRAMES = 4000
@@ -171,7 +171,8 @@ def rungs(drive: Judged, kept: NDArray[np.int64]) -> list[int]:
     if not len(rows):
         return []
     at = np.searchsorted(rows[:, 0], drive.time[kept], side="right") - 1
-    return [int(value) for value in rows[np.maximum(at, 0), 1]]
+    values = np.clip(rows[np.maximum(at, 0), 1], *WORDS)
+    return [int(value) for value in values]
 
 
 def predictions(drive: Judged, most: int) -> list[dict[str, Any]]:

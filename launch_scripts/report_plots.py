@@ -69,7 +69,7 @@ def steering(drive: Judged) -> Iterator[Series]:
         ("bound of the guard", drive.known.guard_bound(speed)),
     ):
         if bound is not None:
-            kind = 2 + name.endswith("guard")
+            kind = 3 if name.endswith("guard") else 4
             for sign in (1.0, -1.0):
                 yield Series(name, drive.time, sign * np.degrees(bound), kind, bound=True)
     measured = topic(drive, ros.STEERING_STATE)
@@ -78,7 +78,7 @@ def steering(drive: Judged) -> Iterator[Series]:
     planned = drive.columns.tick.get("planned_steering", NOWHERE)
     published = drive.columns.tick.get("steering", planned)
     if len(planned) and not np.array_equal(planned, published):
-        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 4)
+        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 2)
     if len(drive.steering):
         yield Series("command", drive.time, np.degrees(drive.steering), 0)
 
@@ -111,7 +111,7 @@ def quantities(*labels: tuple[str, str], scale: float = 1.0, first: int = 0) -> 
     def lines(drive: Judged) -> Iterator[Series]:
         for kind, (name, label) in enumerate(labels, first):
             rows = drive.columns.tick.get(name, NOWHERE)
-            if np.isfinite(rows[:, 1]).any():
+            if len(rows):
                 yield Series(label, rows[:, 0], scale * rows[:, 1], kind, step=scale == 1.0)
 
     return lines
@@ -255,7 +255,7 @@ def log_ticks(figure: go.Figure, row: int) -> dict[str, list[Any]]:
     """Give the ticks 1, 2, 5 of each decade that the lines of a row reach."""
     axis = "y" if row == 1 else f"y{row}"
     lines = [line.y for line in figure.data if line.yaxis == axis]
-    values = [value for line in lines for value in line if value]
+    values = [value for line in lines for value in line if value and value > 0]
     low, high = min(values, default=1.0), max(values, default=1.0)
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     steps = (1, 2, 5) if len(decades) < 4 else (1,)

@@ -149,11 +149,8 @@ def controller(told: Told) -> Summary:
         result["stop_requests"] = int((np.diff(stops[:, 1] > 0, prepend=0) > 0).sum())
     if "solve_time" in tick:
         times = tick["solve_time"][:, 1]
-        times = times[np.isfinite(times)]
         for name, share in (("median", 50), ("p99", 99), ("max", 100)):
-            result[f"solve_time_{name}"] = (
-                float(np.percentile(times, share)) if len(times) else None
-            )
+            result[f"solve_time_{name}"] = float(np.percentile(times, share))
     return result
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
@@ -136,7 +137,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_used(tmp_path: Path) -> N
     states[5] = states[5]._replace(x=math.nan)
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(states)}))
     assert drive.summary["ticks"] == 29
-    assert "/odom: 1 of 30 messages refused: odom: x = nan must be finite." in drive.notes
+    assert any(note.startswith("/odom: 1 of 30 messages refused: odom") for note in drive.notes)
 
 
 def test_a_topic_of_a_wrong_type_is_left_out_by_name(tmp_path: Path) -> None:
@@ -150,6 +151,20 @@ def test_a_configuration_that_is_none_is_left_out_by_name(tmp_path: Path) -> Non
     text = {"/controller/configuration": [(NANOSECONDS, String(data="chassis: {mass: -1"))]}
     drive = judged(write_messages(tmp_path / "bag", foreign(topics=text)))
     assert "Left out: controller/configuration is no YAML mapping." in drive.notes
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -3.0, 7.5, 1e300])
+def test_no_number_in_a_tick_breaks_the_report(value: float, tmp_path: Path) -> None:
+    ticks = []
+    for s in straight_states(20):
+        tick = JointState(name=list(ros.TICK_QUANTITIES))
+        tick.position = [value] * len(ros.TICK_QUANTITIES)
+        tick.header.stamp = ros.time_message(s.stamp_ns)
+        ticks.append((s.stamp_ns, tick))
+    bag = write_messages(tmp_path / "bag", foreign(topics={"/controller/tick": ticks}))
+    assert main([str(bag)]) == 0
+    summary = json.loads((tmp_path / "report.json").read_text())["drives"][0]["summary"]
+    assert (summary["fall_backs"] is None) is not math.isfinite(value)
 
 
 def test_one_namespace_is_reported_never_mixed_with_another(tmp_path: Path) -> None:

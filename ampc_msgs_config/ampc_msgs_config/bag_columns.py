@@ -45,7 +45,7 @@ class BagColumns(NamedTuple):
     values: dict[str, Array]
     """By topic, (n, 1 + k): time and values, in the order of time."""
     tick: dict[str, Array]
-    """By quantity of the controller, (n, 2): time and value; empty where the bag has none."""
+    """By quantity of the controller, (n, 2): time and finite value; without those never told."""
     paths: list[Sample]
     """References that differ from the one before."""
     predictions: list[Sample]
@@ -182,13 +182,15 @@ def tick_columns(rows: Mapping[str, Array], names: list[str]) -> dict[str, Array
     """Give the controller's quantities, of `controller/tick` or else of its debug topics."""
     if names and ros.TICK in rows:
         tick = rows[ros.TICK]
-        return {name: tick[:, [0, k + 1]] for k, name in enumerate(names)}
-    found = {name: rows[topic] for topic, name in DEBUG.items() if topic in rows}
-    commands = rows.get(ros.STEERING_COMMAND, np.empty((0, 2)))
-    for values in found.values():
-        if len(values) == len(commands):  # one each: then they belong together
-            values[:, 0] = commands[:, 0]
-    return found
+        found = {name: tick[:, [0, k + 1]] for k, name in enumerate(names)}
+    else:
+        found = {name: rows[topic] for topic, name in DEBUG.items() if topic in rows}
+        commands = rows.get(ros.STEERING_COMMAND, np.empty((0, 2)))
+        for values in found.values():
+            if len(values) == len(commands):  # one each: then they belong together
+                values[:, 0] = commands[:, 0]
+    told = {name: values[np.isfinite(values[:, 1])] for name, values in found.items()}
+    return {name: values for name, values in told.items() if len(values)}
 
 
 def configurations(texts: Mapping[str, str], notes: list[str]) -> dict[str, dict[str, Any]]:
