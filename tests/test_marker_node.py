@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -146,7 +147,7 @@ def test_the_measured_angle_goes_before_the_commanded_one(viewer: Viewer) -> Non
     for topic, angle in [(ros.STEERING_COMMAND, 0.2), (ros.STEERING_STATE, 0.1)]:
         viewer.picture()
         viewer.says[topic].publish(ros.joint_message(0, angle, 0.0))
-        spin_until(viewer.all, lambda angle=angle: turns(angle))
+        spin_until(viewer.all, partial(turns, angle))
     viewer.says[ros.STEERING_COMMAND].publish(ros.joint_message(0, 0.2, 0.0))
     for _ in range(3):
         assert turns(0.1)
@@ -158,6 +159,11 @@ def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: View
     spin_until(viewer.all, lambda: "STOP" in viewer.picture()["text", 0].text)
     colour = viewer.pictures[-1]["car", 0].color
     assert (colour.r, colour.g, colour.b) == pytest.approx(VERMILION[:3])
+
+
+def rejects_more_than(node: MarkerNode, number: int) -> bool:
+    """Tell whether a node has refused more than so many inputs."""
+    return node.rejected > number
 
 
 def test_bad_input_is_counted_and_the_good_one_kept(viewer: Viewer) -> None:
@@ -176,9 +182,11 @@ def test_bad_input_is_counted_and_the_good_one_kept(viewer: Viewer) -> None:
         (ros.WIND, ros.wind_message(0, (math.inf, 0.0))),
         (ros.ODOM, ros.odometry_message(VehicleState(0, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0))),
     ]
-    for number, (topic, message) in enumerate(bad, start=1):
+    for topic, message in bad:
+        before = node.rejected
         viewer.says[topic].publish(message)
-        spin_until(viewer.all, lambda number=number: node.rejected == number)
+        spin_until(viewer.all, partial(rejects_more_than, node, before))
+    assert node.rejected == len(bad)
     assert len(viewer.picture()["reference_path", 0].points) == 9
 
 

@@ -39,7 +39,7 @@ def drawn(view: View, car: Car = CAR) -> dict[tuple[str, int], Shape]:
 
 def test_body_reaches_from_bumper_to_bumper_about_the_rear_axle() -> None:
     body = drawn(View(NORTH))["car", 0]
-    assert body.size[:2] == (pytest.approx(0.9 + 2.8 + 1.0), 1.8)
+    assert body.size[:2] == pytest.approx((0.9 + 2.8 + 1.0, 1.8))
     assert body.position[:2] == pytest.approx((10.0, 20.0 + (2.8 + 0.9 - 1.0) / 2))
     assert body.yaw == NORTH.yaw
 
