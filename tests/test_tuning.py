@@ -181,7 +181,12 @@ def test_a_checkpoint_of_another_task_is_refused_with_the_field_that_differs(
 def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
     kept.begin({"a": 1})
-    for text, cause in (("{", "cannot be read"), ("[]", "must hold"), ("{}", "no checkpoint")):
+    for text, cause in (
+        ("{", "cannot be read"),
+        ("[" * 10**6, "cannot be read"),
+        ("[]", "must hold"),
+        ("{}", "no checkpoint"),
+    ):
         (kept.folder / "x.json").write_text(text)
         with pytest.raises(ValueError, match=f"x.json: {cause}"):
             kept.load("x")
