@@ -65,7 +65,8 @@ def write(file: Path, pins: Path) -> None:
     """Write the lock of one file."""
     left_out = [] if "ros" in file.stem else ["--no-emit-package", WITH_ROS]
     new = pins.with_name(file.name)
-    uv(file.name, "--constraints", str(pins), "--generate-hashes", "-o", str(new), *left_out)
+    hashed = "--generate-hashes", "--no-strip-extras"  # pip asks for the hash of name and extra
+    uv(file.name, "--constraints", str(pins), *hashed, "--output-file", str(new), *left_out)
     text = HEAD.format(file.name) + new.read_text(encoding="utf-8")
     lock_of(file).write_text(text, encoding="utf-8")
 
