@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from launch_scripts.lock import LOCKS
 
-ASK = (sys.executable, "-m", "pip_audit", "--disable-pip", "--require-hashes", "--format=json")
-ASK += ("--progress-spinner=off", "--timeout=15")
+ASK = [
+    *(sys.executable, "-m", "pip_audit", "--disable-pip", "--require-hashes"),
+    *("--format=json", "--progress-spinner=off", "--timeout=15"),
+]
 VULNERABLE, NOT_ASKED = 1, 2
 
 

@@ -15,8 +15,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ROOT / "lock"
 HEAD = "# Written by `make lock` from {}: do not edit.\n"
-COMPILE = ("pip", "compile", "--quiet", "--universal", "--python-version=3.10", "--no-header")
-COMPILE += ("--no-annotate", "--only-binary=:all:", "--no-binary=empy")
+COMPILE = [
+    *("pip", "compile", "--quiet", "--universal", "--python-version=3.10"),
+    *("--no-header", "--no-annotate", "--only-binary=:all:", "--no-binary=empy"),
+]
 WITH_ROS = "numpy"
 """Where ROS 2 is installed, its messages need its own numpy: only the ROS wheels bring one."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -89,6 +90,11 @@ def used_by(observer: Node, name: str) -> set[str]:
     return {f"{verb} {topic}" for verb, of in lists.items() for topic, _ in of(name, "/")}
 
 
+def draws(node: MarkerNode) -> bool:
+    """Tell whether a node listens, because somebody looks."""
+    return bool(node.inputs)
+
+
 @pytest.fixture(scope="module")
 def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     """Give what each node uses in one of the two modes, or in both."""
@@ -101,7 +107,7 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
             observer = Node("observer")
             observer.create_subscription(MarkerArray, ros.MARKERS, print, 1)
             add(executor, observer, *nodes.values())
-            spin_until(executor, lambda nodes=nodes: bool(nodes["markers"].inputs))
+            spin_until(executor, partial(draws, nodes["markers"]))
             for name in NODES:
                 found[name] |= used_by(observer, name)
             nodes["recorder"].close()
