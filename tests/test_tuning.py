@@ -125,7 +125,7 @@ WRONG = {
     "--workers 0": "--workers 0: must be at least 1",
     "--vehicle nowhere.yaml": "'nowhere.yaml' is neither a file nor one of the shipped vehicles",
     "--resume --output nowhere/a.yaml": "nowhere/a.checkpoint: nothing to resume there",
-    "--scheduler tcp://127.0.0.1:9": "Dask sends pickles, which run whatever code they hold: only with",
+    "--scheduler tcp://127.0.0.1:9": "Dask sends pickles, which run whatever code they hold",
     "--scheduler tcp://127.0.0.1:9 --trust-scheduler": "127.0.0.1:9: no scheduler answers there",
 }
 
