@@ -20,7 +20,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from ampc_ros.controller import Choices
+from ampc_ros.configuration import Choices
 from launch_scripts.environment import ros_environment
 from launch_scripts.processes import Processes
 

@@ -17,7 +17,8 @@ from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.active_set import active_set, solve_in, solver_memory, solver_numbers
 from ampc_ros.belief import Limits, limits_of
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.gain_table import Gains, load_gain_table
 from ampc_ros.laguerre import laguerre_sequence
 from ampc_ros.lateral_mpc import LateralMpc
@@ -115,10 +116,10 @@ def plan_often(
     times: int,
 ) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
+    memory, move, unseen = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0), np.zeros(0)
     for _ in range(times):
         memory.used[0] = 0
-        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), memory)
+        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), unseen, memory)
     return move.Delta_u, move.status
 
 

@@ -15,7 +15,8 @@ from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import at_distance, wrap_angle
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.programme import Tick
 from ampc_ros.qp import Qp
 from launch_scripts.bench_ours import GAINS, SETTINGS, Task, laguerre

@@ -5,7 +5,8 @@ import time
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.scenario import load_scenario
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
+from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_ros.controller import make_controller, warm_up
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 

@@ -62,12 +62,12 @@ def draw(
 
 def _along_chord(ax: Axes, frame: PathFrame, centre: Array, lanes: Sequence[Lane]) -> None:
     """Draw offset over distance, where the path is a graph over its chord: any length is seen."""
-    car = _in_frame(frame, centre)
+    car = in_frame(frame, centre)
     low, high = car[:, 0].min(), car[:, 0].max()
     seen = np.clip(frame.X, low, high) == frame.X
     for lane in lanes:
         for y in (lane.right, lane.left):
-            ends = _in_frame(frame, np.array([[lane.start, y], [lane.end, y]]))
+            ends = in_frame(frame, np.array([[lane.start, y], [lane.end, y]]))
             ax.plot(*ends.T, color=ORANGE, label="cones" if lane is lanes[0] and y < 0 else None)
     _path_and_car(ax, np.column_stack((frame.X, frame.Y))[seen], car)
     bottom, top = ax.get_ylim()
@@ -77,7 +77,8 @@ def _along_chord(ax: Axes, frame: PathFrame, centre: Array, lanes: Sequence[Lane
     ax.set_ylabel("offset to its left [m]")
 
 
-def _in_frame(frame: PathFrame, points: Array) -> Array:
+def in_frame(frame: PathFrame, points: Array) -> Array:
+    """Give points in `map` (n, 2) as distance along the chord of a path and offset to its left."""
     x, y = points.T
     return np.column_stack(rotate(x - frame.x, y - frame.y, -frame.heading))
 

@@ -101,7 +101,7 @@ class Clockwork(NamedTuple):
     places: Integers
     """(n,) index of each car's driver on the path."""
     predicted: Array
-    """(0, 2): nobody looks at predictions."""
+    """(0, 3): nobody looks at predictions."""
 
 
 @inlined
@@ -230,6 +230,7 @@ def drive_paper(roads: Roads, fleet: Fleet, log: Array, clock: Clockwork) -> Non
                 state,
                 fleet.memory[c],
                 clock.scratch,
+                clock.predicted[:, 0],
             )
             note(log[c, tick], state, answer)
             move(roads, fleet, c, tick, log[c, tick], clock)

@@ -206,7 +206,7 @@ def run_part(expedition: Expedition, rows: slice, log: Array) -> None:
         make_scratch(expedition.scratch_size),
         np.zeros(WORK_SIZE),
         np.full(len(log), NOT_CAUGHT),
-        np.zeros((0, 2)),
+        np.zeros((0, 3)),
     )
     drive = drive_preview if expedition.preview else drive_paper
     drive(expedition.roads, fleet._replace(**own), log, clock)

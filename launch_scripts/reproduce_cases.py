@@ -12,7 +12,7 @@ from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario, speed_at
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
-from ampc_ros.controller import default_table
+from ampc_ros.configuration import default_table
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc

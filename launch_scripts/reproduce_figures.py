@@ -1,6 +1,7 @@
 """Figures of the reproduction, as SVG text: labelled at the lines, legible on a phone."""
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,9 @@ FONT: dict[str, Any] = {
     "svg.hashsalt": "reproduce",
 }
 INK = "#222222"
+PATHS = re.compile(r' d="[^"]*"')
+DIGITS = re.compile(r"(\.\d\d)\d+")
+"""Hundredths of a point are enough; what follows them is half of a page."""
 
 
 def svg(figure: Figure) -> str:
@@ -44,7 +48,7 @@ def svg(figure: Figure) -> str:
     file = io.StringIO()
     with mpl.rc_context(FONT):
         figure.savefig(file, format="svg", metadata={"Date": None})
-    return file.getvalue()
+    return PATHS.sub(lambda path: DIGITS.sub(r"\1", path[0]), file.getvalue())
 
 
 def save_png(figure: Figure, file: Path) -> None:

@@ -3,10 +3,13 @@
 import base64
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 Part = str | float
 Parts = Sequence[Part]
+STYLE = Path(__file__).with_name("page.css")
+"""Of every page that is one file."""
 
 
 class Html(str):

@@ -8,6 +8,7 @@ from typing import Any
 from launch_scripts.reproduce_cases import CONTENDERS, ROADS, SHORT
 from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, PAPER_WORDS, YES
 from launch_scripts.reproduce_html import (
+    STYLE,
     Html,
     Parts,
     figure,
@@ -55,6 +56,7 @@ SEEN = {
 def page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     """Give the whole page; every number in it comes from `results`."""
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+        style=STYLE.read_text(encoding="utf-8"),
         command=text(results["meta"]["command"]),
         reading=text(reading(results)),
         summary=summary(results),

@@ -15,18 +15,19 @@ from ampc_msgs_config.wind import wind_at
 from launch_scripts.figure import WANTED
 from launch_scripts.reproduce_cases import CONTENDERS, LOST, Run
 from launch_scripts.reproduce_figures import INK, STYLE, label_ends, stack
+from launch_scripts.trials import Driven
 
 BOUNDED = ("error", "steering", "yaw_rate")
 """Panels whose axis follows those who stay on the path."""
 
 
-def until_lost(driven: Run) -> int:
+def until_lost(driven: Run | Driven) -> int:
     """Give the number of ticks before a car is lost: what it does then is nobody's control."""
     gone = np.abs(driven.error) > LOST
     return int(np.argmax(gone)) if gone.any() else len(driven.error)
 
 
-def centre(driven: Run) -> Array:
+def centre(driven: Run | Driven) -> Array:
     """Give x and y of the centre of gravity (2, n) [m]."""
     to_cg = driven.vehicle.chassis.cg_to_rear_axle
     return np.array([at_distance(state, to_cg)[1:3] for state in driven.drive.states]).T

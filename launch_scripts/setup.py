@@ -14,7 +14,7 @@ setup(
     python_requires=">=3.10",
     packages=[PACKAGE],
     package_dir={PACKAGE: "."},  # the modules are plain scripts at the root of this folder
-    package_data={PACKAGE: ["fastdds.xml", "reproduce.html"]},
+    package_data={PACKAGE: ["fastdds.xml", "page.css", "compare.html", "reproduce.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -24,6 +24,10 @@ setup(
     entry_points={
         "console_scripts": [
             "start = launch_scripts.start:main",
+            "acceptance = launch_scripts.acceptance:main",
+            "compare = launch_scripts.compare:main",
+            "recover = launch_scripts.recover:main",
+            "replay = launch_scripts.replay:main",
             "reproduce = launch_scripts.reproduce:main",
             "tune = launch_scripts.tune:main",
         ]

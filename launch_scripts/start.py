@@ -23,7 +23,7 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
-from ampc_ros.controller import CONTROLLERS, Choices
+from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.gain_table import load_gain_table
 from launch_scripts.environment import ros_environment
 from launch_scripts.processes import Processes

@@ -17,7 +17,7 @@ from ampc_msgs_config.path_file import SpeedLimits, from_csv
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
 from ampc_msgs_config.types import at_distance
-from ampc_ros.controller import default_table
+from ampc_ros.configuration import default_table
 from ampc_ros.gain_table import load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc

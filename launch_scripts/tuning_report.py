@@ -8,7 +8,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table as Lines
 
-from ampc_ros.controller import DEFAULT_TABLES
+from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
 from launch_scripts.fitness import Node, fitness
 from launch_scripts.fleet import Array

@@ -16,7 +16,8 @@ from ampc_msgs_config.path_frame import rotate
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, load_scenario
 from ampc_msgs_config.types import Command, VehicleState, at_distance
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 

@@ -82,12 +82,14 @@ def many_paper_ticks(
     frame: PathFrame,
     memory: Array,
     scratch: Scratch,
+    angles: Array,
 ) -> float:
     """Drive some ticks by dead reckoning; gives the sum of the angles."""
     x, y, yaw, total = 0.0, 0.8, 0.1, 0.0
     for k in range(ticks):
         state = VehicleState(k, x, y, yaw, 9.0, 0.0, 0.0)
-        total += abs(paper_tick(numbers, table, path, frame, state, memory, scratch).steering)
+        tick = paper_tick(numbers, table, path, frame, state, memory, scratch, angles)
+        total += abs(tick.steering)
         x, yaw = x + 0.15, yaw + 0.001 * (k % 7 - 3)
     return total
 
@@ -157,8 +159,8 @@ def test_a_thousand_ticks_allocate_as_little_as_one(
     one = LateralMpc(CAR.chassis, limits, table)
     steering = replace(CAR.steering, delay=0.13, lag=0.05)
     other = PreviewMpc(CAR.chassis, steering, limits, table)
-    frame, points = path_frame(BEND), np.empty((other.horizon, 2))
-    paper = one.numbers, one.table, BEND, frame, new_memory(), one.scratch
+    frame, points = path_frame(BEND), np.empty((other.horizon, 3))
+    paper = one.numbers, one.table, BEND, frame, new_memory(), one.scratch, np.empty(12)
     sent = new_preview_memory(other.belief.actuator.ticks)
     ahead = other.numbers, other.table, BEND, sent, other.scratch, points
     allocating = compiled(makes_an_array)

@@ -13,7 +13,8 @@ from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, load_scenario
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.gain_table import GainTable, load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.config import shipped
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.gain_table import Gains, GainTable, gain_table, load_gain_table
 
 SLOW = Gains(40, 15, 5, 0.5, 10.0, 0.01)

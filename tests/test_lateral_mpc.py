@@ -16,7 +16,8 @@ from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import VehicleState, at_distance
-from ampc_ros.controller import CLASSIC_SPEED, CONTROLLERS, Choices, make_controller, warm_up
+from ampc_ros.configuration import CLASSIC_SPEED, CONTROLLERS, Choices
+from ampc_ros.controller import make_controller, warm_up
 from ampc_ros.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.paper_tick import STEERING

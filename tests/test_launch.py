@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from ampc_msgs_config.marker_node import MarkerNode
-from ampc_ros.controller import CONTROLLERS
+from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
 from sim_vehicle.simulator_node import SimulatorNode

@@ -17,7 +17,8 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import VehicleState
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
 from sim_vehicle.closed_loop import Simulation, drive

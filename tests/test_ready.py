@@ -22,7 +22,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import MODES, NANOSECONDS, VehicleState
 from ampc_ros import controller as controllers
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
+from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_ros.controller import make_controller, warm_up
 from tests.ros_nodes import ros_context
 
 PATHS: dict[str, list[tuple[float, float]]] = {

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config import config
-from ampc_ros.controller import Choices, default_table, make_controller
+from ampc_ros.configuration import Choices, default_table
+from ampc_ros.controller import make_controller
 from ampc_ros.gain_table import gain_table, load_gain_table
 from ampc_ros.preview import PreviewMpc
 from launch_scripts.fitness import Node, fitness

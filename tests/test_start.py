@@ -19,7 +19,8 @@ from ampc_msgs_config.bag import is_complete, read
 from ampc_msgs_config.config import find
 from ampc_msgs_config.drive_log import read_drive
 from ampc_msgs_config.scenario import load_scenario
-from ampc_ros.controller import Choices, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
 from launch_scripts import start
 from launch_scripts.processes import Processes
 from sim_vehicle.closed_loop import Simulation, drive

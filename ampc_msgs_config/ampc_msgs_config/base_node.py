@@ -29,6 +29,7 @@ from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import VehicleState
 
 PARAMETER_EVENTS = "/parameter_events"
+OK, WARN = DiagnosticStatus.OK[0], DiagnosticStatus.WARN[0]
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DELIVERY = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
@@ -77,6 +78,9 @@ class BaseNode(Node):
         listeners = self.get_subscriptions_info_by_topic(topic)
         return any(listener.node_name == "recorder" for listener in listeners)
 
+    def say_last(self) -> None:
+        """Publish what others need when this node ends."""
+
     def deliver(self) -> None:
         """Wait until the recorder has all that this node has published, where it was waited for."""
         until = time.monotonic() + (DELIVERY if self.is_recorded else 0.0)
@@ -90,14 +94,26 @@ class BaseNode(Node):
         self.trouble = str(error)
         self.get_logger().error(str(error), throttle_duration_sec=1.0)
 
-    def report(self, stamp_ns: int, lasting_trouble: str, values: Mapping[str, float]) -> None:
-        """Publish the health since the last report: WARN with the trouble in words, or OK."""
+    def report(
+        self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
+    ) -> None:
+        """Publish the health since the last report: OK, or the worst trouble in words.
+
+        Args:
+            stamp_ns: Time of the report [ns].
+            lasting: Trouble that goes on, in one sentence; empty: none.
+            values: Numbers to tell.
+            level: Of the lasting trouble; what came and went since the last report is a WARN.
+        """
         if self.wait_for_recorder:
-            lasting_trouble = "waiting for a recorder that listens to this node"
-        trouble, self.trouble = self.trouble or lasting_trouble, ""
+            lasting, level = "waiting for a recorder that listens to this node", WARN
+        passing, self.trouble = self.trouble, ""
+        trouble, level = (
+            (lasting, level) if lasting and level > WARN else (passing or lasting, WARN)
+        )
         values = {**values, "rejected_inputs": self.rejected}
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK,
+            level=bytes([level if trouble else OK]),
             name=self.get_fully_qualified_name(),
             message=trouble or "OK",
             values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
@@ -107,8 +123,16 @@ class BaseNode(Node):
         self.diagnostics.publish(message)
 
 
-def declare(node: Node, name: str, default: Any, description: str, allowed: Any = None) -> Any:
-    """Declare a read-only parameter with its description and range, and give its value.
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    allowed: Any = None,
+    *,
+    at_run_time: bool = False,
+) -> Any:
+    """Declare a parameter with its description and range, and give its value.
 
     Args:
         node: Owner.
@@ -116,12 +140,13 @@ def declare(node: Node, name: str, default: Any, description: str, allowed: Any 
         default: Value, which sets the type.
         description: For `ros2 param describe`.
         allowed: (low, high) of a number, or a list of words.
+        at_run_time: It may be changed while the node runs.
 
     Raises:
         ValueError: The word is not one of them.
         ParameterException: The value has another type, or leaves the range.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
+    descriptor = ParameterDescriptor(description=description, read_only=not at_run_time)
     if isinstance(allowed, list):
         descriptor.additional_constraints = "one of: " + ", ".join(allowed)
     elif isinstance(default, float):
@@ -211,5 +236,6 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     finally:
+        node.say_last()
         node.deliver()
         node.destroy_node()

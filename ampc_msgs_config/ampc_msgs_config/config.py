@@ -13,7 +13,7 @@ from ampc_msgs_config.parameters import Checked
 T = TypeVar("T", bound=Checked)
 MAX_BYTES = 5_000_000
 """Of a YAML file."""
-MAX_NODES = 1_000_000
+MAX_NODES = 5_000_000
 """Values of a YAML file, where each alias counts as all that it stands for."""
 
 
@@ -44,16 +44,25 @@ def read(file: Path) -> dict[str, Any]:
     Raises:
         ValueError: It cannot be read, is too large, also with its aliases replaced, or no mapping.
     """
-    text = read_text(file)
+    return parsed(read_text(file), str(file))
+
+
+def parsed(text: str, where: str) -> dict[str, Any]:
+    """Parse a YAML mapping safely.
+
+    Raises:
+        ValueError: The text is no YAML, too large, also with its aliases replaced, or no mapping;
+            `where` it comes from is named.
+    """
     try:
         loader = yaml.SafeLoader(text)  # libyaml's own crashes on deep nesting
         node: Any = loader.get_single_node()
         count_nodes(node, {})
         content = loader.construct_document(node) if node else None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ValueError(f"{file}: not YAML: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{where}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{file}: must hold a mapping of keys, not {type(content).__name__}")
+        raise ValueError(f"{where}: must hold a mapping of keys, not {type(content).__name__}")
     return content
 
 

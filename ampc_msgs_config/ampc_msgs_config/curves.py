@@ -156,7 +156,7 @@ def _iso3888(part: int, width: float) -> tuple[Curve, tuple[Lane, ...]]:
 
     A change begins before the end of one lane and ends after the start of the next, as far as the
     lanes leave room beside the car; from cone to cone it would ask for 16 m/s^2. `ISO_ROOM` was
-    measured: with it the shipped ordinary car passes fastest (`compare.py --only iso3888`).
+    measured: with it the shipped ordinary car passes fastest (`acceptance.py --only iso3888`).
 
     Note:
         Widths follow the vehicle's: 1.1 b + 0.25, then 1.2 b + 0.25 (part 1) or b + 1 (part 2),

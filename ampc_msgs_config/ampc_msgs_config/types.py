@@ -125,6 +125,45 @@ class Command(NamedTuple):
     diagnosis: Diagnosis
     prediction: NDArray[np.float64] | None = None
     """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
+    plan: NDArray[np.float64] | None = None
+    """(n,) angles that it means to command at this and the following ticks [rad]."""
+
+
+class Supervision(NamedTuple):
+    """What became of a controller's answer on its way to the steering, and by which inputs.
+
+    With the state that the command's stamp names, and the path in force, these are all inputs of a
+    tick: a recording of them can be repeated bit for bit.
+    """
+
+    steering: float
+    """Angle that was commanded [rad]."""
+    planned_steering: float
+    """Angle that the ladder asked for, before the guard [rad]."""
+    rung: float
+    """Index in RUNGS."""
+    reason: float
+    """Index in REASONS."""
+    clipped: float
+    """Index in LIMITS."""
+    state_age: float
+    """Since the stamp of the state [s]."""
+    state_silence: float
+    """Since the state has come in [s]."""
+    path_age: float
+    """Since the stamp of the path [s]."""
+    path_silence: float
+    """Since the path has come in [s]."""
+    measured_steering: float
+    """Road-wheel angle that came in since the last tick; nan: none [rad]."""
+    stop_requested: float
+    """1 once a stop has been asked for."""
+    resets: float
+    """How often the controller has started anew, because time or the car's place jumped."""
+    configuration: float
+    """Number of the configuration in force."""
+    qp_fault: float
+    """1 where the solver was made to fail, for a test."""
 
 
 @compiled

@@ -2,29 +2,16 @@
 
 import math
 from contextlib import suppress
-from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.path import Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
-from ampc_ros.gain_table import load_gain_table
+from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
+from ampc_ros.gain_table import gain_table
 from ampc_ros.lateral_mpc import LateralMpc
 from ampc_ros.preview import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
-
-CONTROLLERS = {
-    "preview": "adaptive MPC on the path ahead, with the actuator in its model",
-    "paper": "adaptive MPC of the paper, model at the measured speed",
-    "classic": "the same MPC with its model fixed at a nominal speed",
-    "pure_pursuit": "geometric baseline on the rear axle",
-}
-DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
-"""Gains that hold for any car; `default_table` knows better ones."""
-CLASSIC_SPEED = 9.0
-"""Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
 
 STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
 CIRCLE = [(30.0 * math.sin(0.1 * i), 30.0 - 30.0 * math.cos(0.1 * i)) for i in range(63)]
@@ -55,27 +42,20 @@ class Controller(Protocol):
     def step(self, state: VehicleState, path: Path) -> Command:
         """Answer a state at `base_link`."""
 
-    def reset(self) -> None:
-        """Forget all earlier steps."""
+    def check(self, path: Path) -> None:
+        """Refuse, with a ValueError, a path on which `step` would."""
 
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else, a guard or a fall-back.
 
-class Choices(NamedTuple):
-    """What a user chooses, by shipped names or files."""
+        Args:
+            steering: In force now [rad].
+            stepped: Whether it came in place of what the last step answered, or in a tick that
+                had no step.
+        """
 
-    controller: str = "preview"
-    vehicle: str = "paper"
-    settings: str = "table3"
-    gain_table: str = ""
-    """Empty: see `default_table`."""
-    base_link_to_cg: float | None = None
-    """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
-
-
-def default_table(controller: str, vehicle: str) -> str:
-    """Give the shipped gains for a vehicle: `preview_paper` where they are tuned for that one."""
-    name = DEFAULT_TABLES[controller]
-    tuned = f"{name}_{vehicle}"
-    return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget all earlier steps; the angle in force is given [rad]."""
 
 
 def make_controller(choices: Choices) -> Controller:
@@ -84,24 +64,29 @@ def make_controller(choices: Choices) -> Controller:
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
     """
-    chassis = load(ChassisParameters, find("vehicles", choices.vehicle), "chassis")
-    settings = load(ControllerSettings, find("controllers", choices.settings))
-    if choices.controller == "pure_pursuit":
-        return PurePursuit(chassis, settings, choices.base_link_to_cg)
-    if choices.controller not in CONTROLLERS:
-        known = ", ".join(CONTROLLERS)
-        raise ValueError(f"controller = {choices.controller!r} must be one of {known}")
-    if choices.controller == "classic":
-        settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
-    gains = choices.gain_table or default_table(choices.controller, choices.vehicle)
-    table = load_gain_table(gains)
-    if choices.controller == "preview":
-        steering = load(SteeringParameters, find("vehicles", choices.vehicle), "steering")
-        return PreviewMpc(chassis, steering, settings, table, choices.base_link_to_cg)
+    return build_controller(configuration(choices), gain_file(choices))
+
+
+def build_controller(made: Configuration, source: object = "gain table") -> Controller:
+    """Make the controller of a configuration.
+
+    Args:
+        made: What it is made of.
+        source: Of its gains, for the message.
+
+    Raises:
+        ValueError: The gains make its problem numerically singular.
+    """
+    chassis, settings, to_cg = made.chassis, made.settings, made.base_link_to_cg
+    if made.controller == "pure_pursuit":
+        return PurePursuit(chassis, settings, to_cg)
     try:
-        return LateralMpc(chassis, settings, table, choices.base_link_to_cg)
-    except ValueError as error:
-        raise ValueError(f"{find('gains', gains)}: {error}") from error
+        table = gain_table(made.gains)
+        if made.controller == "preview":
+            return PreviewMpc(chassis, made.steering, settings, table, to_cg)
+        return LateralMpc(chassis, settings, table, to_cg)
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def warm_up(controller: Controller) -> None:

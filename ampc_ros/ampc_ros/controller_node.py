@@ -1,179 +1,301 @@
 """Node `controller`: path and state in, steering out. `ros2 run ampc_ros controller`."""
 
+import math
 import sys
 import time
+from functools import partial
+from typing import Any
 
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rclpy.event_handler import PublisherEventCallbacks
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, spin
-from ampc_msgs_config.path import Path
-from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import MODES, NANOSECONDS, STANDSTILL, Command, VehicleState
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller, warm_up
-from ampc_ros.preview import PreviewMpc
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.configuration import CONTROLLERS, Choices, configuration, gain_file
+from ampc_ros.controller import warm_up
+from ampc_ros.health import health, numbers
+from ampc_ros.ros import Outputs
+from ampc_ros.supervisor import Decision, Supervisor, rehearse
 from ampc_ros.ticks import Ticks
 
-NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-"""The executor looks at each event of each publisher at every turn, which for two dozen debug
-topics costs more than the tick."""
+RUN_TIME = ("settings", "gain_table", "guard", "static_path")
+"""What a running controller may exchange."""
+REPORT_PAUSE = 0.1
+"""Least wall time between two reports of changes [s]."""
 
 
-class ControllerNode(BaseNode):
-    """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
+class ControllerNode(BaseNode, LifecycleNodeMixin):
+    """Steers on a timer of the node's clock, or, in lock-step, once for every state.
+
+    A managed node (ROS 2 lifecycle) that configures and activates itself unless told otherwise.
+    """
 
     def __init__(self) -> None:
-        """Load and compile everything; only then publish and subscribe."""
-        super().__init__("controller")
-        self.controller = make_controller(self._choices())
-        warm_up(self.controller)
-        self.state: VehicleState | None = None
-        self.path: Path | None = None
-        self.answer: JointState | None = None
-        self.no_path = "waiting for reference_path"
-        self.commands_given = 0
-        self.ticks = Ticks(self.controller.period)
-        self.debug = [
-            self.create_publisher(
-                Float64, f"~/debug/{name}", ros.RELIABLE, event_callbacks=NO_EVENTS
-            )
-            for name in ros.DEBUG_QUANTITIES
-        ]
-        qos = ros.RELIABLE if self.lock_step else ros.COMMAND  # a fast drive is recorded whole
-        self.commands = self.create_publisher(JointState, ros.STEERING_COMMAND, qos)
-        self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
-        self.predictions = self.create_publisher(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
-        qos = ros.RELIABLE if self.lock_step else ros.NEWEST
-        self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
-        if not self.lock_step:
-            self.create_subscription(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
-            self.timer = self.create_timer(self.controller.period, self.on_timer)
-        self.create_timer(1.0, self.on_diagnostics)
-        self.get_logger().info("ready")
+        """Declare everything; then, where it is to start by itself, configure and activate."""
+        BaseNode.__init__(self, "controller")
+        self.is_active = False
+        self.wrong: ValueError | None = None
+        self.decision: Decision | None = None
+        self.condition: tuple[float, ...] = ()
+        self.reported = -math.inf
+        self.commands_given = self.configurations = 0
+        self.declare_choices()
+        LifecycleNodeMixin.__init__(self)
+        if declare(self, "autostart", True, "configure and activate at the start"):
+            self.trigger_configure()
+            if self.wrong:
+                raise self.wrong
+            self.trigger_activate()
 
-    def _choices(self) -> Choices:
-        default = Choices()
-        to_cg = declare(
-            self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
-        )
-        return Choices(
-            declare(self, "controller", default.controller, "which one", list(CONTROLLERS)),
-            declare(self, "vehicle", default.vehicle, "shipped vehicle, or YAML file"),
-            declare(self, "settings", default.settings, "shipped limits, or YAML file"),
-            declare(self, "gain_table", default.gain_table, "shipped gains, or YAML file"),
-            None if to_cg < 0 else to_cg,
-        )
+    def declare_choices(self) -> None:
+        """Declare the parameters that say what the controller is made of."""
+        default, offer = Choices(), partial(declare, self)
+        offer("controller", default.controller, "which one", list(CONTROLLERS))
+        offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
+        offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
+        offer = partial(declare, self, at_run_time=True)
+        offer("settings", default.settings, "shipped limits, or YAML file")
+        offer("gain_table", default.gain_table, "shipped gains, or YAML file")
+        offer("guard", default.guard, "shipped limits of the guard, or YAML file")
+        offer("static_path", self.lock_step, "the path is published once and does not grow old")
+        offer("qp_fault", False, "let every solution fail, to see what happens")
+
+    def choices(self, changed: dict[str, Any]) -> Choices:
+        """Give what the parameters choose, some of them changed."""
+        chosen = {name: self.get_parameter(name).value for name in Choices._fields[:-1]}
+        chosen |= {key: value for key, value in changed.items() if key in chosen}
+        if chosen["base_link_to_cg"] < 0:
+            chosen["base_link_to_cg"] = None
+        simulated = self.lock_step or bool(self.get_parameter("use_sim_time").value)
+        return Choices(**chosen, simulated_time=simulated)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load and compile everything; only then publish and subscribe."""
+        try:
+            choices = self.choices({})
+            made, source = configuration(choices), gain_file(choices)
+            self.supervisor = Supervisor(made, source, self.configurations + 1)
+        except ValueError as error:
+            self.wrong = error
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        warm_up(self.supervisor.ladder.controller)
+        rehearse(self.supervisor.made)
+        self.ticks = Ticks(self.supervisor.period)
+        self.decision, self.wrong, self.commands_given = None, None, 0
+        self.outputs = Outputs(self, lock_step=self.lock_step)
+        self.publish_configuration()
+        self.listen()
+        return super().on_configure(state)
+
+    def listen(self) -> None:
+        """Subscribe, and offer services."""
+        qos = ros.RELIABLE if self.lock_step else ros.NEWEST
+        inputs = [
+            (PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED),
+            (Odometry, ros.ODOM, self.on_odometry, qos),
+        ]
+        if not self.lock_step:  # where the order of odom and steering_state is nobody's promise
+            inputs.append((JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST))
+        self.inputs = [self.create_subscription(*each) for each in inputs]
+        self.offered = [
+            self.create_service(Trigger, "~/reload", self.on_reload),
+            self.create_service(Trigger, "~/reset_stop", self.on_reset_stop),
+        ]
+        self.add_on_set_parameters_callback(self.on_parameters)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave the topics; the next configuration reads everything anew."""
+        self.remove_on_set_parameters_callback(self.on_parameters)
+        for subscription in self.inputs:
+            self.destroy_subscription(subscription)
+        for service in self.offered:
+            self.destroy_service(service)
+        self.outputs.destroy()
+        return super().on_cleanup(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to steer, from the angle in force."""
+        self.ticks.restart()
+        self.supervisor.stop_requested = False
+        self.outputs.stop(False)
+        if not self.lock_step:
+            self.timer = self.create_timer(self.supervisor.period, self.on_timer)
+        self.reporting = self.create_timer(1.0, self.on_diagnostics)
+        self.is_active = True
+        self.get_logger().info("ready")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop steering: hold the angle, and ask for a stop."""
+        self.say_last()
+        if not self.lock_step:
+            self.destroy_timer(self.timer)
+        self.destroy_timer(self.reporting)
+        self.is_active = False
+        return super().on_deactivate(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave the car in the same way."""
+        self.say_last()
+        self.is_active = False
+        return super().on_error(state)
+
+    def say_last(self) -> None:
+        """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
+        if self.is_active and self.decision and not self.lock_step:
+            self.outputs.hold()
+            self.outputs.stop(True)
 
     def on_path(self, message: PathMessage) -> None:
         """Take a new path; a bad one is refused and the old one kept."""
+        stamp_ns = ros.nanoseconds(message.header.stamp)
+        now_ns = stamp_ns if self.lock_step else self.now_ns
         try:
-            self.path = make_path(ros.path_points(message))
+            self.supervisor.take_path(ros.path_points(message), stamp_ns, now_ns)
         except ValueError as error:
             self.reject(error)
         if self.lock_step:
             self.answer_state()
 
     def on_odometry(self, message: Odometry) -> None:
-        """Keep the newest state; a bad one is refused, time going backwards starts anew."""
+        """Take the newest state; a bad one is refused and the old one kept."""
         try:
             state = ros.vehicle_state(message)
+            if not (self.lock_step and state.stamp_ns == self.supervisor.newest_ns):
+                self.take(state)
         except ValueError as error:
             self.reject(error)
             return
-        if self.state is not None and state.stamp_ns < self.state.stamp_ns:
-            self.get_logger().warning("time went backwards: controller reset")
-            self.controller.reset()
-            self.ticks.restart()
-            self.answer = None
-        self.state = state
         if self.lock_step:
             self.answer_state()
         elif self.ticks.owed:
             self.step()
 
-    def on_steering(self, message: JointState) -> None:
-        """Tell a controller that has an actuator in its model where the steering really is.
+    def take(self, state: VehicleState) -> None:
+        """Give a state to the supervisor; where that starts anew, so does the account of ticks."""
+        resets = self.supervisor.resets
+        self.supervisor.take_state(state, state.stamp_ns if self.lock_step else self.now_ns)
+        if self.supervisor.resets > resets:
+            self.get_logger().warning("time went backwards, or the car jumped: controller reset")
+            self.ticks.restart()
+            self.decision = None
 
-        Not in lock-step, where the order of `odom` and `steering_state` is nobody's promise.
-        """
+    def on_steering(self, message: JointState) -> None:
+        """Take the measured angle."""
         try:
-            angle = ros.steering_angle(message).value
+            self.supervisor.take_steering(ros.steering_angle(message).value)
         except ValueError as error:
             self.reject(error)
-            return
-        if isinstance(self.controller, PreviewMpc):
-            self.controller.observe_steering(angle)
+
+    def is_answered(self) -> bool:
+        """Whether the newest state has its command."""
+        newest = self.decision.command.stamp_ns if self.decision else None
+        return newest == self.supervisor.newest_ns
 
     def answer_state(self) -> None:
         """Answer the newest state; one that was answered before gets the same command again."""
-        if self.answer is not None and self.is_answered():
-            self.commands.publish(self.answer)
+        if self.is_answered():
+            self.outputs.again()
         else:
             self.step()
 
     def on_timer(self) -> None:
         """Answer the newest state, once; where there is none, the next one is answered at once."""
         left_out = self.ticks.begin(self.now_ns, self.timer.time_until_next_call())
-        if left_out and self.answer is not None:
+        if left_out and self.decision:
             self.trouble = f"the timer was late: {left_out} ticks left out"
-        if not self.is_answered():
+        if not self.is_answered() or self.supervisor.is_state_late(self.now_ns):
             self.step()
         elif self.ticks.owe():
             self.trouble = "no new odom since the last tick"
 
-    def is_answered(self) -> bool:
-        """Tell whether the newest state has its command."""
-        if self.state is None or self.answer is None:
-            return False
-        return ros.nanoseconds(self.answer.header.stamp) == self.state.stamp_ns
-
     def step(self) -> None:
-        """Give the newest state its command, if there is a path for it."""
-        if self.state is None or self.path is None or self.unrecorded():
+        """Decide, where that is possible, and publish."""
+        if not self.is_active or not self.supervisor.is_ready or self.unrecorded():
             return
         self.ticks.owed = False
         start = time.perf_counter()
-        try:
-            command = self.controller.step(self.state, self.path)
-        except ValueError as error:
-            if self.lock_step:
-                raise
-            self.reject(error)
-            self.path, self.no_path = None, str(error)
-            return
-        self.publish(command, time.perf_counter() - start)
+        decision = self.supervisor.tick(
+            self.supervisor.newest_ns if self.lock_step else self.now_ns
+        )
+        if decision:
+            timing = time.perf_counter() - start, self.ticks.lateness_ns / NANOSECONDS
+            self.commands_given += 1
+            account = self.rejected, self.ticks.missed, self.commands_given
+            self.outputs.decision(decision, timing, account)
+            self.decision = decision
+            self.tell(decision)
 
-    def publish(self, command: Command, solve_time: float) -> None:
-        """Publish a command and what is to be said about it."""
-        self.answer = ros.steering_message(command)
-        self.commands.publish(self.answer)
-        self.commands_given += 1
-        lateness = self.ticks.lateness_ns / NANOSECONDS
-        values = (*command.diagnosis, solve_time, lateness)
-        for publisher, value in zip(self.debug, values, strict=True):
-            if publisher.get_subscription_count():
-                publisher.publish(Float64(data=float(value)))
-        if command.prediction is not None and self.predictions.get_subscription_count():
-            message = ros.path_message(command.prediction, command.stamp_ns)
-            self.predictions.publish(message)
-        if command.diagnosis.mode > STANDSTILL:
-            self.trouble = MODES[int(command.diagnosis.mode)]
-        if command.diagnosis.outside_table:
-            self.trouble = "outside the gain table: nearest edge in use"
-        if not command.diagnosis.converged:
-            self.trouble = "QP not solved: angle held"
+    def tell(self, decision: Decision) -> None:
+        """Ask for a stop where that is new, and report at once what has changed."""
+        self.outputs.stop(self.supervisor.stop_requested)
+        told = decision.supervision
+        condition = told.rung, told.reason, told.clipped
+        if condition != self.condition and time.monotonic() - self.reported > REPORT_PAUSE:
+            self.condition = condition
+            self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
-        """Report health once a second."""
-        waiting = "waiting for odom" if self.state is None else ""
-        if self.path is None:
-            waiting = self.no_path
-        values = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
-        self.report(self.now_ns, waiting, values)
+        """Report health."""
+        self.reported = time.monotonic()
+        level, sentence = health(self.supervisor, self.decision, self.now_ns)
+        account = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
+        values = account | numbers(self.supervisor, self.decision)
+        self.report(self.now_ns, sentence, values, level)
+
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Use new values, all at once, or refuse them all; the steering goes on where it is."""
+        changed = {each.name: each.value for each in parameters}
+        try:
+            if set(changed) & set(RUN_TIME):
+                self.reconfigure(self.choices(changed))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        ladder = self.supervisor.ladder
+        ladder.qp_fault = changed.get("qp_fault", ladder.qp_fault)
+        return SetParametersResult(successful=True)
+
+    def reconfigure(self, choices: Choices) -> None:
+        """Go on with what was chosen; where that is wrong, with what there was."""
+        made, period = configuration(choices), self.supervisor.period
+        if made.settings.sample_time != period:
+            raise ValueError(
+                f"sample_time = {made.settings.sample_time:g} s must stay {period:g} s while the "
+                "controller is configured"
+            )
+        self.supervisor.reconfigure(made, gain_file(choices))
+        self.publish_configuration()
+
+    def publish_configuration(self) -> None:
+        """Say what the controller is made of now."""
+        self.configurations = self.supervisor.number
+        self.outputs.configuration(self.supervisor)
+        self.get_logger().info(f"configuration {self.configurations} in use")
+
+    def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Read gains, limits and guard from their files again; a bad one changes nothing."""
+        try:
+            self.reconfigure(self.choices({}))
+        except ValueError as error:
+            self.get_logger().error(f"not reloaded: {error}")
+            response.success, response.message = False, str(error)
+            return response
+        response.success, response.message = True, f"configuration {self.supervisor.number}"
+        return response
+
+    def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Take the request to stop back."""
+        self.supervisor.stop_requested = False
+        self.outputs.stop(False)
+        response.success, response.message = True, "no stop is requested any more"
+        return response
 
 
 def main() -> int:

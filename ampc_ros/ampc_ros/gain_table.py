@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -164,14 +165,23 @@ def load_gain_table(name: str) -> GainTable:
     Raises:
         ValueError: Names the file, the key, the value and the bound.
     """
-    file = config.find("gains", name)
+    return gain_table(read_gain_table(config.find("gains", name)))
+
+
+def read_gain_table(file: File) -> dict[str, Any]:
+    """Read the file of a table, and check that it is one.
+
+    Raises:
+        ValueError: Names the file, the key, the value and the bound.
+    """
     content = config.read(file)
     try:
-        return gain_table(content)
+        gain_table(content)
     except KeyError as error:
         raise ValueError(f"{file}: missing key {error}") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
+    return content
 
 
 def gain_table(content: Mapping[str, Any]) -> GainTable:

@@ -45,11 +45,13 @@ class LateralMpc:
         for gains in table.nodes:
             check_conditioning(self.belief.vehicle, gains, self.belief.limits)
         self.scratch = make_scratch(max(scratch_numbers(*gains[:3]) for gains in table.nodes))
+        self.moves = max(gains.control_horizon for gains in table.nodes)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all earlier steps: no angle commanded, no increment known, no path."""
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget all earlier steps: the angle in force is given, no increment known, no path."""
         self.memory: Array = new_memory()
+        self.memory[STEERING] = steering
         self.path: Path | None = None
 
     @property
@@ -69,11 +71,26 @@ class LateralMpc:
         """
         if path is not self.path:
             self._take_path(path)
-        table, scratch = tuple(self.table), tuple(self.scratch)
+        table, scratch, angles = tuple(self.table), tuple(self.scratch), np.empty(self.moves)
         steering, rate, diagnosis = paper_answer(
-            self.numbers, table, self.road, tuple(state), self.memory, scratch
+            self.numbers, table, self.road, tuple(state), self.memory, scratch, angles
         )
-        return Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        return answer._replace(plan=angles[: int(answer.diagnosis.control_horizon)])
+
+    def check(self, path: Path) -> None:
+        """Refuse what `step` would refuse.
+
+        Raises:
+            ValueError: The path is no graph over its chord.
+        """
+        path_frame(path)
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        self.memory[STEERING] = steering
+        if not stepped:
+            self.memory[KNOWN] = 0.0  # the next increment of the state would span two ticks
 
     def _take_path(self, path: Path) -> None:
         """Follow a new path: new inertial frame, increments start anew, the angle is kept."""

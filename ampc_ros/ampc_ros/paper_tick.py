@@ -53,6 +53,7 @@ def paper_tick(
     state: VehicleState,
     memory: Array,
     scratch: Scratch,
+    angles: Array,
 ) -> Answer:
     """Answer one state: set-point, gains, model, prediction, bounds, QP, first move.
 
@@ -64,6 +65,7 @@ def paper_tick(
         state: At `base_link`.
         memory: (MEMORY,) of this controller, changed in place.
         scratch: At least `scratch_numbers(...)`.
+        angles: Receives the planned angles (N_c,) [rad]; may be empty.
     """
     scratch.used[0] = 0
     belief = believed(numbers)
@@ -75,7 +77,8 @@ def paper_tick(
     x = vector(scratch, STATES)
     augmented_state(memory, (car.v_y, yaw, car.yaw_rate, Y), x)
     v_x = belief.nominal_speed if belief.nominal_speed > 0.0 else car.v_x
-    move = plan(belief.vehicle, gains, limits, Tick(v_x, x, memory[STEERING], r), scratch)
+    tick = Tick(v_x, x, memory[STEERING], r)
+    move = plan(belief.vehicle, gains, limits, tick, angles, scratch)
     before, Delta_u = memory[STEERING], move.Delta_u if move.status == SOLVED else 0.0
     memory[STEERING] = min(max(before + Delta_u, -limits.u_max), limits.u_max)
     s, index = advance(path, int(memory[INDEX]), car.x, car.y, car.yaw)
@@ -127,6 +130,7 @@ def paper_answer(
     state: tuple[Any, ...],
     memory: Array,
     scratch: tuple[Any, ...],
+    angles: Array,
 ) -> tuple[float, float, tuple[float, ...]]:
     """Call `paper_tick` from Python: plain tuples in place of named ones, both ways.
 
@@ -141,6 +145,7 @@ def paper_answer(
         VehicleState(*state),
         memory,
         Scratch(*scratch),
+        angles,
     )
     return answer.steering, answer.rate, plain(answer.diagnosis)
 

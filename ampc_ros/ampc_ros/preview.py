@@ -9,7 +9,16 @@ from ampc_msgs_config.path import NOT_CAUGHT, Array, Path
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.belief import Belief, belief_row, believed
 from ampc_ros.gain_table import GainTable
-from ampc_ros.preview_tick import INDEX, STATE_DELTA, new_memory, preview_answer
+from ampc_ros.preview_tick import (
+    BEFORE,
+    EXPECTS,
+    INDEX,
+    SENT,
+    STATE_DELTA,
+    new_memory,
+    preview_answer,
+    send,
+)
 from ampc_ros.programme import scratch_numbers
 from ampc_ros.small_matrices import make_scratch
 
@@ -45,9 +54,11 @@ class PreviewMpc:
         self.scratch = make_scratch(max(scratch_numbers(*size) for size in sizes))
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all earlier steps: no command, no disturbance, no path."""
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget all earlier steps: one angle was always in force, no disturbance, no path."""
         self.memory: Array = new_memory(self.belief.actuator.ticks)
+        self.memory[BEFORE] = self.memory[STATE_DELTA] = steering
+        self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
 
@@ -67,7 +78,7 @@ class PreviewMpc:
             self.path, self.memory[INDEX] = path, NOT_CAUGHT
         last_ns, self.last_ns = self.last_ns, state.stamp_ns
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
-        points = np.empty((self.horizon, 2))
+        points = np.empty((self.horizon, 3))
         table, scratch = tuple(self.table), tuple(self.scratch)
         steering, rate, diagnosis = preview_answer(
             self.numbers, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
@@ -76,7 +87,18 @@ class PreviewMpc:
         if math.isnan(answer.diagnosis.prediction_horizon):
             return answer
         H = int(answer.diagnosis.prediction_horizon) + self.belief.actuator.ticks
-        return answer._replace(prediction=points[:H])
+        return answer._replace(prediction=points[:H, :2], plan=points[:H, 2])
+
+    def check(self, path: Path) -> None:
+        """Take any path."""
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        self.memory[EXPECTS] = 0.0
+        if stepped:
+            self.memory[-1] = steering
+        else:
+            send(self.memory, steering)
 
     def observe_steering(self, angle: float) -> None:
         """Take the measured road-wheel angle [rad] in place of the one that the model expects.

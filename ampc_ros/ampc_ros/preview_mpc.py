@@ -220,7 +220,13 @@ def steering_rows(
 
 @inlined
 def preview_plan(
-    belief: Belief, gains: Gains, past: Past, road: Road, lateral: Array, scratch: Scratch
+    belief: Belief,
+    gains: Gains,
+    past: Past,
+    road: Road,
+    lateral: Array,
+    angles: Array,
+    scratch: Scratch,
 ) -> Plan:
     """Angle to command now: nominal steering plus the Laguerre correction of least cost.
 
@@ -230,22 +236,23 @@ def preview_plan(
         past: State, commands on their way, disturbance.
         road: Speed and curvature along the horizon of H = N_p + delay steps.
         lateral: Receives the predicted cross-track error (H,) [m].
+        angles: Receives the angles to command at this and the following ticks (H,) [rad].
         scratch: Memory for the programme.
     """
     _, N_c, N, alpha, Q, R = gains
     limits, H, u = belief.limits, len(lateral), past.sent[len(past.sent) - 1]
-    nominal, bounds, aim = vector(scratch, H), vector(scratch, H), vector(scratch, H)
+    bounds, aim = vector(scratch, H), vector(scratch, H)
     L, S, Phi = matrix(scratch, N_c, N), matrix(scratch, N_c, N), matrix(scratch, N, H)
-    nominal_steering(belief, road, u, nominal, bounds)
+    nominal_steering(belief, road, u, angles, bounds)
     laguerre_sequence(alpha, L)
     running_sum(L, S)
-    predict_on_road(belief, past, road, nominal, S, lateral, Phi, scratch)
+    predict_on_road(belief, past, road, angles, S, lateral, Phi, scratch)
     return_path(past, road.speed[1], limits.T, aim)
     for j in range(H):
         aim[j] -= lateral[j]
     qp = blank_programme(gains, output_steps(H, H, limits.half_width), scratch)
     quadratic_cost(Phi, aim, L, (Q, R), qp.E, qp.K)
-    steering_rows(qp, L, S, nominal, bounds, u, limits.Delta_u_max)
+    steering_rows(qp, L, S, angles, bounds, u, limits.Delta_u_max)
     if len(qp.K) > N:
         for j in range(H):
             aim[j] = -lateral[j]
@@ -260,5 +267,6 @@ def preview_plan(
         for j in range(H):
             lateral[j] += eta[k] * Phi[k, j]
     slack = eta[N] if len(eta) > N else 0.0
-    steering = nominal[0] + dot(L[0], eta[:N])
-    return Plan(steering, count_active(multipliers), slack, iterations, status)
+    for i in range(H):
+        angles[i] += dot(S[min(i, N_c - 1)], eta[:N])
+    return Plan(angles[0], count_active(multipliers), slack, iterations, status)

@@ -165,13 +165,26 @@ def expect(belief: Belief, memory: Array, x: Array, road: Road, scratch: Scratch
 
 
 @in_place
-def put_predicted(path: Path, s: float, speed: Array, lateral: Array, T: float, out: Array) -> None:
-    """Fill where the car is expected at each step of the horizon, (>= H, 2) in `map` [m]."""
+def put_predicted(
+    path: Path, s: float, speed: Array, lateral: Array, angles: Array, T: float, out: Array
+) -> None:
+    """Fill where the car is expected at each step of the horizon, and the angles that bring it.
+
+    Args:
+        path: The reference.
+        s: Arc length of the car [m].
+        speed: (H + 1,) [m/s].
+        lateral: Cross-track error expected (H,) [m].
+        angles: To command (H,) [rad].
+        T: Step [s].
+        out: (>= H, 3) x and y in `map` [m], angle [rad].
+    """
     for j in range(len(lateral)):
         s += speed[j + 1] * T
         point = point_at(path, s)
         out[j, 0] = point.x - lateral[j] * math.sin(point.heading)
         out[j, 1] = point.y + lateral[j] * math.cos(point.heading)
+        out[j, 2] = angles[j]
 
 
 @inlined
@@ -195,7 +208,8 @@ def preview_tick(
         elapsed: Since the last step; nan if there was none [s].
         memory: Of this controller, see `new_memory`; changed in place.
         scratch: At least `scratch_numbers(...)`.
-        predicted: Receives the points of the horizon, (>= H, 2) in `map` [m]; may have no row.
+        predicted: Receives points and angles of the horizon (>= H, 3), see `put_predicted`; may
+            have no row.
     """
     scratch.used[0] = 0
     belief = believed(numbers)
@@ -209,14 +223,15 @@ def preview_tick(
     plan, change = Plan(memory[len(memory) - 1], 0, 0.0, 0, SOLVED), 0.0
     if steers:
         H = gains.prediction_horizon + belief.actuator.ticks
-        road, lateral = Road(vector(scratch, H + 1), vector(scratch, H + 1)), vector(scratch, H)
+        road = Road(vector(scratch, H + 1), vector(scratch, H + 1))
+        lateral, angles = vector(scratch, H), vector(scratch, H)
         look_ahead(path, place.s, memory, T, road)
         past = Past(x, memory[SENT:], memory[DISTURBANCE : DISTURBANCE + STATES])
-        plan = preview_plan(belief, gains, past, road, lateral, scratch)
+        plan = preview_plan(belief, gains, past, road, lateral, angles, scratch)
         change = send(memory, plan.steering)
         expect(belief, memory, x, road, scratch)
         if len(predicted) > 0:
-            put_predicted(path, place.s, road.speed, lateral, T, predicted)
+            put_predicted(path, place.s, road.speed, lateral, angles, T, predicted)
     else:
         send(memory, plan.steering)
         memory[EXPECTS] = 0.0

@@ -98,14 +98,28 @@ def count_active(multipliers: Array) -> int:
 
 
 @inlined
-def plan(vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick, scratch: Scratch) -> Move:
-    """Pose and solve the programme of one step, and read the first move off its solution."""
+def plan(
+    vehicle: Vehicle, gains: Gains, limits: Limits, tick: Tick, angles: Array, scratch: Scratch
+) -> Move:
+    """Pose and solve the programme of one step, and read the first move off its solution.
+
+    Args:
+        vehicle: The car as it is believed to be.
+        gains: N_p, N_c, N, alpha, Q, R.
+        limits: Bounds and solver.
+        tick: What is known now.
+        angles: Receives the angles to command at this and the following ticks, (N_c,) [rad]; may
+            be empty.
+        scratch: Memory for the programme.
+    """
     N_p, N_c, N, _, _, _ = gains
     qp = blank_programme(gains, output_steps(N_p, N_c, limits.half_width), scratch)
     pose(vehicle, gains, limits, tick, qp, scratch)
     eta, multipliers = vector(scratch, len(qp.K)), vector(scratch, len(qp.low))
     iterations, status = solve(qp, limits, eta, multipliers, scratch)
     Delta_u = dot(qp.M[0][:N], eta[:N])  # the first row is L(0)'
+    for i in range(min(N_c, len(angles))):
+        angles[i] = tick.u + dot(qp.M[2 * i + 1][:N], eta[:N])  # these rows are the running sum
     bounded = min(max(Delta_u, -limits.Delta_u_max), limits.Delta_u_max)
     slack = eta[N] if len(eta) > N else 0.0
     return Move(bounded, count_active(multipliers), slack, iterations, status)

@@ -22,9 +22,9 @@ class PurePursuit:
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
         self.reset()
 
-    def reset(self) -> None:
-        """Forget path and angle."""
-        self.steering = 0.0
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget the path; the angle in force is given [rad]."""
+        self.steering = steering
         self.path: Path | None = None
 
     def step(self, state: VehicleState, path: Path) -> Command:
@@ -37,6 +37,13 @@ class PurePursuit:
         self.steering = min(max(self._aim(rear), -bound), bound)
         rate = (self.steering - before) / self.period
         return Command(state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre)))
+
+    def check(self, path: Path) -> None:
+        """Take any path."""
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        self.steering = steering
 
     def _aim(self, rear: VehicleState) -> float:
         """atan(2 L sin(eta) / l_d): the circle through the rear axle, tangent to the car [rad]."""

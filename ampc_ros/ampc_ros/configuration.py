@@ -1,0 +1,170 @@
+"""All that a controller is made of, as values: what a run was made with, and may be made with anew.
+
+As YAML text it goes over a latched topic, and so into every recording.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from ampc_msgs_config import __version__
+from ampc_msgs_config.config import build, find, load, parsed, shipped
+from ampc_msgs_config.parameters import (
+    ChassisParameters,
+    Checked,
+    ControllerSettings,
+    GuardLimits,
+    SteeringParameters,
+)
+from ampc_ros.gain_table import read_gain_table
+
+CONTROLLERS = {
+    "preview": "adaptive MPC on the path ahead, with the actuator in its model",
+    "paper": "adaptive MPC of the paper, model at the measured speed",
+    "classic": "the same MPC with its model fixed at a nominal speed",
+    "pure_pursuit": "geometric baseline on the rear axle",
+}
+DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
+"""Gains that hold for any car; `default_table` knows better ones."""
+CLASSIC_SPEED = 9.0
+"""Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
+
+
+class Choices(NamedTuple):
+    """What a user chooses, by shipped names or files."""
+
+    controller: str = "preview"
+    vehicle: str = "paper"
+    settings: str = "table3"
+    gain_table: str = ""
+    """Empty: see `default_table`."""
+    guard: str = "road"
+    base_link_to_cg: float | None = None
+    """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
+    static_path: bool = False
+    """The path is published once and holds until the next one: it does not grow old."""
+    simulated_time: bool = False
+    """Time that goes back means a simulated car that is at its start again."""
+
+
+class Configuration(NamedTuple):
+    """What was chosen, read and checked."""
+
+    controller: str
+    chassis: ChassisParameters
+    steering: SteeringParameters
+    settings: ControllerSettings
+    guard: GuardLimits
+    gains: dict[str, Any]
+    """Content of a gain table; empty for a controller without one."""
+    base_link_to_cg: float
+    """From the point that `odom` describes forward to the centre of gravity [m]."""
+    static_path: bool
+    simulated_time: bool
+
+    @property
+    def sharpest_curvature(self) -> float:
+        """Curvature of the smallest circle that the car can be steered on [1/m]."""
+        angle = min(self.settings.max_angle, self.steering.max_angle)
+        return math.tan(angle) / self.chassis.wheelbase
+
+
+PARTS: dict[str, type[Checked]] = {
+    "chassis": ChassisParameters,
+    "steering": SteeringParameters,
+    "settings": ControllerSettings,
+    "guard": GuardLimits,
+}
+
+
+def default_table(controller: str, vehicle: str) -> str:
+    """Give the shipped gains for a vehicle: `preview_paper` where they are tuned for that one."""
+    name = DEFAULT_TABLES[controller]
+    tuned = f"{name}_{vehicle}"
+    return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
+
+
+def configuration(choices: Choices) -> Configuration:
+    """Read what a user chose.
+
+    Raises:
+        ValueError: A name is unknown, or a file is missing or wrong.
+    """
+    check_controller(choices.controller)
+    vehicle = find("vehicles", choices.vehicle)
+    chassis = load(ChassisParameters, vehicle, "chassis")
+    settings = load(ControllerSettings, find("controllers", choices.settings))
+    if choices.controller == "classic":
+        settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
+    to_cg, gains = choices.base_link_to_cg, gain_file(choices)
+    return Configuration(
+        choices.controller,
+        chassis,
+        load(SteeringParameters, vehicle, "steering"),
+        settings,
+        load(GuardLimits, find("guards", choices.guard)),
+        read_gain_table(gains) if gains else {},
+        chassis.cg_to_rear_axle if to_cg is None else to_cg,
+        choices.static_path,
+        choices.simulated_time,
+    )
+
+
+def check_controller(name: str) -> None:
+    """Raise a ValueError unless there is a controller of this name."""
+    if name not in CONTROLLERS:
+        raise ValueError(f"controller = {name!r} must be one of {', '.join(CONTROLLERS)}")
+
+
+def gain_file(choices: Choices) -> Path | None:
+    """Give the file of the gains, or None for a controller without gains."""
+    if choices.controller not in DEFAULT_TABLES:
+        return None
+    name = choices.gain_table or default_table(choices.controller, choices.vehicle)
+    return find("gains", name)
+
+
+def to_yaml(made: Configuration, number: int) -> str:
+    """Write a configuration as text that `from_yaml` reads back, number for number.
+
+    Args:
+        made: What to write.
+        number: Counts the configurations of a run; each tick names the one that it used.
+    """
+    content = {
+        "version": __version__,
+        "number": number,
+        **{key: asdict(v) if key in PARTS else v for key, v in made._asdict().items()},
+    }
+    return str(yaml.safe_dump(content, sort_keys=False))
+
+
+def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
+    """Read a configuration and its number.
+
+    Args:
+        text: What `to_yaml` wrote.
+        where: It comes from, for the message.
+
+    Raises:
+        ValueError: Names place, key, value and bound.
+    """
+    content = parsed(text, where)
+    missing = {"number", *Configuration._fields} - content.keys()
+    if missing:
+        raise ValueError(f"{where}: missing key {sorted(missing)[0]!r}")
+    check_controller(content["controller"])
+    values = {key: content[key] for key in Configuration._fields}
+    for key, cls in PARTS.items():
+        values[key] = build(cls, values[key], f"{where}: {key}")
+    if not isinstance(values["gains"], Mapping) or not _is_finite(values["base_link_to_cg"]):
+        raise ValueError(f"{where}: gains must be a mapping and base_link_to_cg a number")
+    return Configuration(**values), int(content["number"])
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value)

@@ -1,0 +1,283 @@
+"""From inputs as they come to a command that may be sent: checks, time-outs, ladder, guard.
+
+The same object steers over ROS, in the offline loop and in a replay: all times are arguments.
+"""
+
+import math
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ampc_msgs_config.path import Array, Path
+from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.types import NANOSECONDS, STOP, Command, Supervision, VehicleState
+from ampc_ros.checks import StateFilter, check_path
+from ampc_ros.configuration import Configuration
+from ampc_ros.controller import Controller, build_controller
+from ampc_ros.guard import Guard, Guarded
+from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST, Answer, Ladder
+from ampc_ros.preview import PreviewMpc
+
+T = TypeVar("T")
+
+
+class Received(NamedTuple, Generic[T]):
+    """An input, the time to which it belongs, and when it came in."""
+
+    value: T
+    stamp_ns: int
+    arrival_ns: int
+
+
+class Ages(NamedTuple):
+    """How old an input is."""
+
+    age: float
+    """Since its stamp [s]."""
+    silence: float
+    """Since its arrival [s]."""
+
+
+class Decision(NamedTuple):
+    """One tick: what to command, and how that came about."""
+
+    command: Command
+    supervision: Supervision
+
+
+class Supervisor:
+    """A controller between its inputs and the steering."""
+
+    def __init__(self, made: Configuration, source: object = "gain table", number: int = 1) -> None:
+        """Make controller, ladder and guard, at rest.
+
+        Args:
+            made: What all is made of.
+            source: Of the gains, for the message.
+            number: Of this configuration; each further one counts on.
+
+        Raises:
+            ValueError: The gains make the controller's problem numerically singular.
+        """
+        self.filter = StateFilter()
+        self.number, self.resets = number - 1, 0
+        self.stop_requested = False
+        self.state: Received[VehicleState] | None = None
+        self.path: Received[Path] | None = None
+        self.points: Array | None = None
+        self.measured = math.nan
+        self._install(made, build_controller(made, source), 0.0)
+
+    def reconfigure(self, made: Configuration, source: object = "gain table") -> None:
+        """Go on with another configuration from the angle in force; a wrong one changes nothing.
+
+        Raises:
+            ValueError: The gains make the controller's problem numerically singular, or it cannot
+                take the path in use.
+        """
+        controller = build_controller(made, source)
+        if self.path:
+            controller.check(self.path.value)
+        fault = self.ladder.qp_fault
+        self._install(made, controller, self.steering)
+        self.ladder.qp_fault = fault
+
+    def _install(self, made: Configuration, controller: Controller, steering: float) -> None:
+        self.made, self.number = made, self.number + 1
+        self.guard = Guard(made.guard, made.chassis, controller.period)
+        self.guard.reset(steering)
+        self.ladder = Ladder(made, controller)
+        self.ladder.restart(self.steering)
+
+    @property
+    def period(self) -> float:
+        """Time from one tick to the next [s]."""
+        return self.made.settings.sample_time
+
+    @property
+    def steering(self) -> float:
+        """Angle commanded last [rad]."""
+        return self.guard.steering
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there are a state and a path to steer by."""
+        return self.state is not None and self.path is not None
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest state; -1: there is none [ns]."""
+        return self.state.stamp_ns if self.state else -1
+
+    def reset(self) -> None:
+        """Forget inputs and requests; the angle in force is kept."""
+        self.filter.reset()
+        self.state = self.path = self.points = None
+        self.stop_requested = False
+        self.restart()
+
+    def restart(self, steering: float | None = None) -> None:
+        """Let the controller start anew, from the angle in force or from another one [rad]."""
+        self.resets += 1
+        if steering is not None:
+            self.guard.reset(steering)
+        self.ladder.restart(self.steering)
+
+    def take_state(self, state: VehicleState, now_ns: int) -> None:
+        """Take a state as the newest one; it starts the controller anew where time or place jump.
+
+        Raises:
+            ValueError: The state contradicts those before it; the last valid one is kept.
+        """
+        verdict = self.filter.accept(state, now_ns)
+        if not verdict.accepted:
+            raise ValueError(verdict.reason)
+        if verdict.reset:
+            self.start_anew_at(state)
+        self.state = Received(state, state.stamp_ns, now_ns)
+
+    def start_anew_at(self, state: VehicleState) -> None:
+        """Start the controller anew where the car or its clock has jumped to.
+
+        Where simulated time goes back, the simulated car is at its start again: wheels straight.
+        """
+        goes_back = self.state is not None and state.stamp_ns < self.state.stamp_ns
+        self.restart(0.0 if goes_back and self.made.simulated_time else None)
+
+    def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
+        """Take a path (n, 2) [m]; one that is in use already is only renewed.
+
+        Raises:
+            ValueError: It cannot be driven; the last valid path is kept.
+        """
+        points = np.asarray(points, dtype=float)
+        if self.path and self.points is not None and np.array_equal(points, self.points):
+            self.path = Received(self.path.value, stamp_ns, now_ns)
+            return
+        self.follow(check_path(points, self.made.sharpest_curvature), stamp_ns, now_ns)
+        self.points = points
+
+    def follow(self, path: Path, stamp_ns: int, now_ns: int) -> None:
+        """Take a path that has been made of points already.
+
+        Raises:
+            ValueError: The controller cannot follow it; the last valid path is kept.
+        """
+        self.ladder.controller.check(path)
+        self.path = Received(path, stamp_ns, now_ns)
+
+    def correct(self, steering: float) -> None:
+        """Go on from another angle than the one commanded last [rad]."""
+        if steering != self.steering:
+            self.guard.reset(steering)
+            self.ladder.controller.take_over(self.steering, stepped=True)
+
+    def take_steering(self, angle: float) -> None:
+        """Take a measured road-wheel angle, which the next tick uses [rad]."""
+        self.measured = angle
+
+    def step(self, state: VehicleState, path: Path) -> Command:
+        """Answer a state at once, as controllers do: nothing is late in lock-step."""
+        now_ns = state.stamp_ns
+        if self.path is None or self.path.value is not path:
+            self.follow(path, now_ns, now_ns)
+        self.take_state(state, now_ns)
+        decision = self.tick(now_ns)
+        assert decision is not None
+        return decision.command
+
+    def tick(self, now_ns: int) -> Decision | None:
+        """Decide what to command now; nothing before the first valid state and path.
+
+        Args:
+            now_ns: Time of the node's clock [ns].
+        """
+        if self.state is None or self.path is None:
+            return None
+        before, measured = self.steering, self._use_measured()
+        answer = self._answer(now_ns)
+        rate = (answer.steering - before) / self.period
+        known = None if math.isnan(measured) else measured
+        guarded = self.guard.step(answer.steering, rate, self.state.value.v_x, known)
+        controller = self.ladder.controller
+        if not answer.stepped or guarded.steering != controller.steering:
+            controller.take_over(guarded.steering, stepped=answer.stepped)
+        self.stop_requested |= answer.rung == STOP or self.is_path_lost(now_ns)
+        command = answer.command._replace(
+            stamp_ns=self.state.stamp_ns,
+            steering=guarded.steering,
+            steering_rate=guarded.steering_rate,
+        )
+        return Decision(command, self._told(now_ns, answer, guarded, measured))
+
+    def _use_measured(self) -> float:
+        """Tell the controller where the steering is, once for each measurement."""
+        measured, self.measured = self.measured, math.nan
+        controller = self.ladder.controller
+        if isinstance(controller, PreviewMpc) and not math.isnan(measured):
+            controller.observe_steering(measured)
+        return measured
+
+    def _answer(self, now_ns: int) -> Answer:
+        """Choose the rung by the age of state and path."""
+        assert self.state is not None
+        assert self.path is not None
+        settings, old = self.made.settings, max(ages(self.state, now_ns))
+        if old > settings.state_lost:
+            return self.ladder.stop(STATE_LOST, self.steering)
+        if old > settings.state_late:
+            return self.ladder.shift(STATE_LATE)
+        answer = self.ladder.answer(self.state.value, self.path.value, self.steering)
+        if answer.reason == NO_REASON and self.is_path_lost(now_ns):
+            return answer._replace(reason=PATH_LOST)
+        return answer
+
+    def is_state_late(self, now_ns: int) -> bool:
+        """Whether the newest state is too old to wait for another one."""
+        return (
+            self.state is not None and max(ages(self.state, now_ns)) > self.made.settings.state_late
+        )
+
+    def is_path_lost(self, now_ns: int) -> bool:
+        """Whether the path is too old to be followed without a stop."""
+        if self.path is None or self.made.static_path:
+            return False
+        return max(ages(self.path, now_ns)) > self.made.settings.path_lost
+
+    def _told(self, now_ns: int, answer: Answer, guarded: Guarded, measured: float) -> Supervision:
+        """Say what became of an answer."""
+        assert self.state is not None
+        assert self.path is not None
+        return Supervision(
+            guarded.steering,
+            answer.steering,
+            answer.rung,
+            answer.reason,
+            guarded.limit,
+            *ages(self.state, now_ns),
+            *ages(self.path, now_ns),
+            measured,
+            float(self.stop_requested),
+            self.resets,
+            self.number,
+            float(self.ladder.qp_fault),
+        )
+
+
+def ages(received: Received[Any], now_ns: int) -> Ages:
+    """Give how old an input is."""
+    return Ages(
+        (now_ns - received.stamp_ns) / NANOSECONDS, (now_ns - received.arrival_ns) / NANOSECONDS
+    )
+
+
+def rehearse(made: Configuration) -> None:
+    """Go down the ladder once, so that nothing is compiled or loaded in a tick."""
+    supervisor, path = Supervisor(made), make_path([(0.0, 0.0), (200.0, 0.0)])
+    ticks = supervisor.ladder.plan_ticks + 2
+    for tick in range(ticks):
+        x, stamp_ns = 9.0 * tick * supervisor.period, round(tick * supervisor.period * NANOSECONDS)
+        supervisor.take_steering(0.0)
+        supervisor.step(VehicleState(stamp_ns, x, 0.1, 0.0, 9.0, 0.0, 0.0), path)
+        supervisor.ladder.qp_fault = True
