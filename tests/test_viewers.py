@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros
@@ -21,19 +20,8 @@ from ampc_msgs_config.recorder_node import CONTRACT
 from ampc_msgs_config.types import REASONS, RUNGS
 
 FOLDER = Path(__file__).resolve().parents[1] / "ampc_ros" / "viewers"
-TICK_QUANTITIES = (
-    *ros.DEBUG_QUANTITIES,
-    *("steering", "planned_steering", "rung", "reason", "clipped", "state_age", "path_age"),
-    *("measured_steering", "stop_requested", "configuration", "qp_fault"),
-    *("rejected_inputs", "missed_ticks"),
-)
 JOINTS = {ros.STEERING_COMMAND: (ros.STEERING_JOINT,), ros.STEERING_STATE: (ros.STEERING_JOINT,)}
-TYPES: dict[str, Any] = {
-    **CONTRACT,
-    ros.MARKERS: MarkerArray,
-    ros.STOP_REQUEST: Bool,
-    ros.TICK: CONTRACT[ros.STEERING_COMMAND],
-}
+TYPES: dict[str, Any] = {**CONTRACT, ros.MARKERS: MarkerArray}
 TOPICS = {f"/{name.lstrip('/')}": kind for name, kind in TYPES.items()}
 
 RVIZ_CLASSES = {
@@ -133,7 +121,7 @@ def test_foxglove_finds_rung_and_reason_in_the_tick() -> None:
     ladder = foxglove()["configById"]["StateTransitions!ladder"]
     paths = {each["label"]: each["value"] for each in ladder["paths"]}
     for name in ("rung", "reason"):
-        number = TICK_QUANTITIES.index(name)
+        number = ros.TICK_QUANTITIES.index(name)
         assert paths[name] == f"/{ros.TICK}.position[{number}]"
     words = ", ".join(f"{number} {name}" for number, name in enumerate(RUNGS))
     assert words.replace("_", " ").replace("feed f", "feed-f") in ladder["foxglovePanelTitle"]
@@ -161,7 +149,7 @@ def test_plotjuggler_s_layout_is_built_as_its_reader_takes_it() -> None:
 def test_plotjuggler_plots_fields_that_the_messages_have(curve: str) -> None:
     topic = max((name for name in TOPICS if curve.startswith(f"{name}/")), key=len)
     words = curve.removeprefix(f"{topic}/").split("/")
-    joints = {**JOINTS, ros.TICK: TICK_QUANTITIES}.get(topic[1:])
+    joints = {**JOINTS, ros.TICK: ros.TICK_QUANTITIES}.get(topic[1:])
     if joints:  # its reader of JointState: topic, joint, field
         joint, field = words
         assert joint in joints
