@@ -76,9 +76,15 @@ def used_by(observer: Node, name: str) -> set[str]:
     return {f"{verb} {topic}" for verb, of in lists.items() for topic, _ in of(name, "/")}
 
 
-def draws(node: MarkerNode) -> bool:
-    """Tell whether a node listens, because somebody looks."""
-    return bool(node.inputs)
+def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
+    """Tell whether all has been discovered, with what the markers hear while somebody looks."""
+    return bool(nodes["markers"].inputs) and all(
+        {f"publish {each.topic_name}" for each in node.publishers}
+        | {f"subscribe {each.topic_name}" for each in node.subscriptions}
+        | {f"reply {each.service_name}" for each in node.services}
+        <= used_by(observer, name)
+        for name, node in nodes.items()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +99,7 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
             observer = Node("observer")
             observer.create_subscription(MarkerArray, ros.MARKERS, print, 1)
             add(executor, observer, *nodes.values())
-            spin_until(executor, partial(draws, nodes["markers"]))
+            spin_until(executor, partial(is_seen, observer, nodes))
             for name in NODES:
                 found[name] |= used_by(observer, name)
             nodes["recorder"].close()
