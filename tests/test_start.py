@@ -122,6 +122,7 @@ def test_the_bag_of_a_run_holds_the_offline_loop_to_the_last_bit(tmp_path: Path)
     assert log.drive.steering.tolist() == steering
     assert is_complete(tmp_path / "run" / "bag")
     assert (tmp_path / "run" / "drive.png").stat().st_size > 10_000
+    assert 1_000_000 < (tmp_path / "run" / "report.html").stat().st_size < 3_000_000
     result = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert result["ended"] == "completed"
     assert result["metrics"]["ticks"] == 170
