@@ -24,6 +24,7 @@ setup(
     entry_points={
         "console_scripts": [
             "start = launch_scripts.start:main",
+            "recover = launch_scripts.recover:main",
             "reproduce = launch_scripts.reproduce:main",
             "tune = launch_scripts.tune:main",
         ]

@@ -4,12 +4,14 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
 
 VERSION = 9
 ROS_DISTRO = "jazzy"
+ROOT = "rosbag2_bagfile_information"
 FILE_NAME = "metadata.yaml"
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -51,24 +53,39 @@ class Topic:
     extent: Extent = field(default_factory=Extent)
 
 
-def write_metadata(folder: Path, files: Mapping[str, Extent], topics: Iterable[Topic]) -> None:
+def write_metadata(
+    folder: Path,
+    files: Mapping[str, Extent],
+    topics: Iterable[Topic],
+    kept: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
     """Write `metadata.yaml`, or replace it at once: a reader sees the old text or the new one.
 
     Args:
         folder: Of the bag.
         files: Extent of each file, by its name in the folder.
         topics: All topics of the bag.
+        kept: What stays as another `metadata.yaml` had it.
 
     Raises:
         OSError: It cannot be written; the old one stays.
     """
     draft = folder / f"{FILE_NAME}.tmp"
     try:
-        draft.write_text(to_yaml(metadata_mapping(files, topics)), encoding="utf-8")
+        draft.write_text(to_yaml(metadata_mapping(files, topics, kept)), encoding="utf-8")
         draft.replace(folder / FILE_NAME)
     except OSError:
         draft.unlink(missing_ok=True)
         raise
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Give the content of `metadata.yaml`; of one that is missing or damaged, nothing."""
+    try:
+        content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
+        return dict(content[ROOT])
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
+        return {}
 
 
 def to_yaml(content: Any) -> str:
@@ -76,7 +93,9 @@ def to_yaml(content: Any) -> str:
     return str(yaml.dump(content, Dumper=Dumper, sort_keys=False))
 
 
-def metadata_mapping(files: Mapping[str, Extent], topics: Iterable[Topic]) -> dict[str, Any]:
+def metadata_mapping(
+    files: Mapping[str, Extent], topics: Iterable[Topic], kept: Mapping[str, Any]
+) -> dict[str, Any]:
     """Give the content of `metadata.yaml`."""
     whole = Extent()
     for extent in files.values():
@@ -93,7 +112,7 @@ def metadata_mapping(files: Mapping[str, Extent], topics: Iterable[Topic]) -> di
         "custom_data": None,
         "ros_distro": os.environ.get("ROS_DISTRO", ROS_DISTRO),
     }
-    return {"rosbag2_bagfile_information": information}
+    return {ROOT: {**information, **kept}}
 
 
 def extent_mapping(extent: Extent) -> dict[str, Any]:

@@ -41,6 +41,8 @@ class Record(NamedTuple):
 
     kind: int
     content: bytes
+    size: int
+    """Of the record in the file [bytes]."""
     is_whole: bool
     """Whether the file goes on to its end."""
 
@@ -55,28 +57,29 @@ class Salvage:
     metadata_records: int = 0
     reached_end: bool = False
     """Whether all that the writer recorded is there, up to its end mark."""
-    lost_bytes: int = 0
-    """Of records that were cut or damaged, and of what lies behind them."""
+    tail_bytes: int = 0
+    """Length of the last record, which is cut; of a chunk, what was whole in it is kept."""
+    from_tail: int = 0
+    """Number of messages kept out of a cut chunk."""
     damaged: int = 0
-    """Number of records and chunks in the middle of the file that had to be left out."""
-    from_cut_chunk: int = 0
-    """Number of messages out of the chunk inside which the file ends."""
+    """Number of damaged records and chunks before the end, of which nothing is certain."""
+    damaged_bytes: int = 0
+    """Their length."""
 
     @property
     def is_undamaged(self) -> bool:
         """Whether nothing was lost."""
-        return self.reached_end and not self.lost_bytes
+        return self.reached_end and not self.damaged
 
 
 def records(stream: IO[bytes]) -> Iterator[Record]:
-    """Give the records from here on; the last one may be cut."""
+    """Give the records from here on; the last one may be cut, or be no record at all."""
     while head := stream.read(HEAD.size):
         kind, length = HEAD.unpack(head.ljust(HEAD.size, b"\0"))
-        if len(head) < HEAD.size or not kind or length > LARGEST:
-            yield Record(kind, head + stream.read(), is_whole=False)
-            return
-        content = stream.read(length)
-        yield Record(kind, content, len(content) == length)
+        is_record = len(head) == HEAD.size and kind and length <= LARGEST
+        content = stream.read(length if is_record else -1)
+        is_whole = bool(is_record) and len(content) == length
+        yield Record(kind, content, len(head) + len(content), is_whole)
 
 
 def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> Salvage:
@@ -115,16 +118,16 @@ class Copy:
 
     def take(self, record: Record) -> None:
         """Copy a record at the top of the file, or count it as lost."""
+        if not record.is_whole:
+            self.found.tail_bytes = record.size
         try:
             if record.kind == Opcode.CHUNK:
                 self.take_chunk(record)
             elif record.is_whole:
                 self.take_inner(record)
-            else:
-                raise EOFError
         except DAMAGE:
             self.found.damaged += record.is_whole
-            self.found.lost_bytes += len(record.content)
+            self.found.damaged_bytes += record.size * record.is_whole
 
     def take_chunk(self, record: Record) -> None:
         """Copy the content of a chunk; of one that is cut, what is whole."""
@@ -137,10 +140,9 @@ class Copy:
         for inner in records(io.BytesIO(content)):
             if inner.is_whole:
                 self.take_inner(inner)
-            else:
-                self.found.lost_bytes += len(inner.content)
-        if not record.is_whole:
-            self.found.from_cut_chunk = self.found.extent.count - before
+            elif record.is_whole:
+                raise ValueError("damaged")
+            self.found.from_tail = (self.found.extent.count - before) * (not record.is_whole)
 
     def take_inner(self, record: Record) -> None:
         """Copy a whole record that holds no others."""
