@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 import yaml
+from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
@@ -17,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from std_msgs.msg import String
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import recorder_node, ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.bag import read
 from ampc_msgs_config.recorder_node import CONTRACT
@@ -26,6 +28,7 @@ from ampc_msgs_config.transforms import TF_MESSAGE, footprint_transform, pose_tr
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.recover import main
 from tests.bag_samples import TICK_NS, sample, wait_for
+from tests.ros_nodes import add, ros_context, spin_until
 from tests.test_recorder_node import popen_recorder, start_recorder, stop, talker
 
 LARGEST_FILE = 2_000_000
@@ -79,7 +82,7 @@ def test_what_waits_for_the_clock_is_given_once_and_again_when_it_starts() -> No
 def test_a_recording_that_begins_anew_replaces_what_was_written_at_once(tmp_path: Path) -> None:
     with Recording(tmp_path) as recording:
         for log_time_ns in (0, 8):
-            recording.begin()
+            recording.begin_anew()
             recording.add_topic("/path", "std_msgs/msg/String", [])
             recording.write("/path", serialize_message(String(data="path")), log_time_ns, 1)
             if log_time_ns:
@@ -225,6 +228,31 @@ def test_a_full_disk_ends_the_recorder_in_one_line_and_what_was_recorded_stays(
     assert main([str(tmp_path / "bag")]) == 0
     assert list(read(tmp_path / "bag_recovered")) == found
     assert "are a cut record" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_transforms_of_others_take_the_place_of_those_from_odometry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: bool
+) -> None:
+    """As tf2_msgs is not installed everywhere, another type stands for its own here."""
+    if not asked:
+        others = {"/tf": Vector3Stamped, "/tf_static": Vector3Stamped}
+        monkeypatch.setattr(recorder_node, "installed_transforms", lambda: others)
+    topics = ["imu:sensor_msgs/msg/Imu"] + ["tf:geometry_msgs/msg/Vector3Stamped"] * asked
+    with ros_context(output=tmp_path / "bag", topics=topics) as executor:
+        recorder = recorder_node.Recorder()
+        add(executor, recorder)
+        assert recorder.derives_transforms is not asked
+        other = rclpy.create_node("other")
+        add(executor, other)
+        other.create_publisher(Vector3Stamped, "/tf", ros.RELIABLE)
+        spin_until(executor, lambda: not recorder.derives_transforms)
+        arrival = Arrival(1, 2, "/odom", serialize_message(sample(ros.ODOM, TICK_NS)))
+        recorder.write(arrival, 3)
+        recorder.close()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert "/odom" in reader.topics
+        assert not reader.topics.keys() & recorder_node.TRANSFORMS.keys()
 
 
 def test_a_second_recorder_in_the_same_folder_overwrites_nothing(tmp_path: Path) -> None:
