@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
@@ -40,6 +40,15 @@ def test_bags_with_the_presets_of_rosbag2_are_read(
     options = {"compression": compression, "use_chunking": use_chunking, "chunk_size": 4000}
     write_file(tmp_path / "bag_0.mcap", DRIVE, **options)
     assert read_back(tmp_path) == DRIVE
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_bags_without_an_index_are_read(tmp_path: Path, use_chunking: bool) -> None:
+    without = dict.fromkeys(("repeat_channels", "repeat_schemas", "use_statistics"), False)
+    for number, index_types in enumerate((IndexType.ALL, IndexType.NONE)):
+        options = {**without, "index_types": index_types, "use_chunking": use_chunking}
+        write_file(tmp_path / f"bag_{number}.mcap", DRIVE[::-1], chunk_size=4000, **options)
+        assert read_back(tmp_path / f"bag_{number}.mcap") == DRIVE
 
 
 def test_bags_that_are_compressed_as_a_whole_are_read(tmp_path: Path) -> None:

@@ -32,7 +32,15 @@ MESSAGE = struct.Struct("<HIQQ")
 """Of a message: channel, sequence number, log time and publish time [ns]."""
 LARGEST = 2**32
 """No record is longer: a length beyond it is damage [bytes]."""
-DAMAGE = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, EOFError)
+DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    zstandard.ZstdError,
+    RuntimeError,
+    EOFError,
+)
 """What the libraries raise on bytes that are not what they should be."""
 
 
