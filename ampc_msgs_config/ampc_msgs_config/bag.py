@@ -13,8 +13,9 @@ from rclpy.serialization import deserialize_message
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.chunks import ordered
+from ampc_msgs_config.mcap_records import MAGIC
 from ampc_msgs_config.message_types import message_class
-from ampc_msgs_config.salvage import MAGIC, salvage
+from ampc_msgs_config.salvage import salvage
 
 SQLITE = b"SQLite format 3\0"
 ZSTD = b"\x28\xb5\x2f\xfd"

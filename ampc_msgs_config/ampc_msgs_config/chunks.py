@@ -14,7 +14,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.summary import Summary
 
-from ampc_msgs_config.salvage import HEAD, MESSAGE, decompressed
+from ampc_msgs_config.mcap_records import HEAD, MESSAGE, decompressed
 
 
 class Found(NamedTuple):
