@@ -3,7 +3,7 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ class Car:
         self.number = 0
         self.publish(with_clock=False)  # compiles
 
-    @property
     def is_heard(self) -> bool:
         """Whether the recorder listens to everything."""
         publishers = self.clock, self.odom, self.command, self.tick
@@ -80,7 +79,7 @@ def recorder(bag: Path, simulated: bool) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def wait_until(condition: Any) -> None:
+def wait_until(condition: Callable[[], bool]) -> None:
     """Waits until a condition holds.
 
     Raises:
