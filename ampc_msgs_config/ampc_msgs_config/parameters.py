@@ -5,12 +5,18 @@
 
 import math
 from dataclasses import MISSING, dataclass, field, fields
+from itertools import pairwise
 from typing import Any
 
 
 def number(low: float, high: float, unit: str, default: Any = MISSING) -> Any:
     """Declare a dataclass field in [low, high]; infinite bounds themselves are allowed values."""
     return field(default=default, metadata={"low": low, "high": high, "unit": unit})
+
+
+def row(low: float, high: float, unit: str) -> Any:
+    """Declare a dataclass field that takes one or more numbers in [low, high]."""
+    return field(metadata={"low": low, "high": high, "unit": unit, "row": True})
 
 
 def choice(*options: str, default: Any = MISSING) -> Any:
@@ -30,8 +36,18 @@ class Checked:
                 raise ValueError(
                     f"{item.name} = {value!r} must be one of {', '.join(item.metadata['options'])}"
                 )
-            if "low" in item.metadata:
+            if "row" in item.metadata:
+                check_row(item.name, value, item.metadata)
+            elif "low" in item.metadata:
                 check_range(item.name, value, item.metadata)
+
+
+def check_row(name: str, values: Any, metadata: Any) -> None:
+    """Raise a ValueError with name, index, value and bound unless all values are in range."""
+    if not isinstance(values, (list, tuple)) or not values:
+        raise ValueError(f"{name} = {values!r} must be a list of numbers")
+    for i, value in enumerate(values):
+        check_range(f"{name}[{i}]", value, metadata)
 
 
 def check_range(name: str, value: Any, metadata: Any) -> None:
@@ -112,3 +128,36 @@ class SizeParameters(Checked):
     """From the front axle to the front bumper."""
     rear_overhang: float = number(0.0, 10.0, "m")
     """From the rear axle to the rear bumper."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardLimits(Checked):
+    """What a steering command has to keep to, whoever computed it, by speed.
+
+    Each row has one value for each speed; between the speeds it is linear, beyond them it is held.
+    """
+
+    speed: tuple[float, ...] = row(0.0, 100.0, "m/s")
+    """Increasing."""
+    max_angle: tuple[float, ...] = row(0.01, 1.5, "rad")
+    max_rate: tuple[float, ...] = row(0.01, 20.0, "rad/s")
+    lateral_acceleration: tuple[float, ...] = row(0.1, 50.0, "m/s^2")
+    """Of the steady circle that belongs to the angle."""
+    lateral_jerk: tuple[float, ...] = row(0.1, 1000.0, "m/s^3")
+    """By which that acceleration changes, from turning the wheel alone."""
+    measured_step: tuple[float, ...] = row(0.01, 3.0, "rad")
+    """Farthest that a command may move away from the measured road-wheel angle."""
+
+    def __post_init__(self) -> None:
+        """Check the rows, each for itself and against the speeds, and make tuples of them."""
+        super().__post_init__()
+        for item in fields(self):
+            values = tuple(float(value) for value in getattr(self, item.name))
+            object.__setattr__(self, item.name, values)
+            if len(values) != len(self.speed):
+                raise ValueError(
+                    f"{item.name} = {list(values)} must have {len(self.speed)} values, as speed has"
+                )
+        for i, (slow, fast) in enumerate(pairwise(self.speed), start=1):
+            if fast <= slow:
+                raise ValueError(f"speed[{i}] = {fast:g} must be greater than {slow:g} before it")
