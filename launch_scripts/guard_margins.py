@@ -36,7 +36,7 @@ class Margin(NamedTuple):
     clipped: int
     """Commands that the guard would clip, each if the one before had not been."""
     commands: int
-    count: dict[str, int]
+    limits: dict[str, int]
     """How often each limit clipped."""
 
 
@@ -66,7 +66,7 @@ def trials() -> list[Trial]:
 
 def cells(trial: Trial, found: Margin) -> tuple[str, ...]:
     """Give a line of the table."""
-    by = ", ".join(f"{name} {n}" for name, n in found.count.items() if n)
+    by = ", ".join(f"{name} {n}" for name, n in found.limits.items() if n)
     clipped = f"{found.clipped} of {found.commands}"
     return (trial.scenario, trial.car, *(f"{share:.2f}" for share in found.shares), clipped, by)
 

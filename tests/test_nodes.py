@@ -152,11 +152,14 @@ def test_a_wrong_value_ends_a_node_with_one_line_that_names_it(
 
 
 BAD_STATES = [
-    (odometry(2, x=float("nan")), "odom: x = nan must be finite"),
-    (odometry(2, v_x=float("inf")), "odom: v_x = inf must be finite"),
-    (Odometry(), "orientation"),
+    (odometry(2, x=float("nan")), "odom: pose.pose.position.x = nan must be finite"),
+    (odometry(2, v_x=float("inf")), "odom: twist.twist.linear.x = inf must be finite"),
+    (odometry(2), "odom: pose.pose.orientation = (0, 0, 0, 0) must have a length in [0.9, 1.1]"),
+    (odometry(2), "odom: header.frame_id = 'odom' must be 'map'"),
 ]
-BAD_STATES[2][0].pose.pose.orientation.w = 0.0
+orientation = BAD_STATES[2][0].pose.pose.orientation
+orientation.z = orientation.w = 0.0
+BAD_STATES[3][0].header.frame_id = "odom"
 BAD_PATHS = [
     (path(frame="odom"), "frame_id = 'odom' must be 'map'"),
     (path([(0.0, 0.0), (float("nan"), 1.0)]), "must be finite"),
@@ -181,7 +184,9 @@ def test_bad_inputs_are_rejected_counted_and_reported_and_the_last_good_ones_kep
             assert node.path is good_path
         last = world.next_report(node)
     assert last.level == DiagnosticStatus.OK
-    assert {pair.key: pair.value for pair in last.values}["rejected_inputs"] == "6"
+    assert {pair.key: pair.value for pair in last.values}["rejected_inputs"] == str(
+        len(BAD_STATES + BAD_PATHS)
+    )
 
 
 def test_the_controller_steers_on_its_timer_and_stamps_its_command_with_the_state() -> None:

@@ -30,7 +30,7 @@ WIND = "wind"
 STOP_REQUEST = "stop_request"
 """Latched std_msgs/Bool: the controller asks whoever drives to stop."""
 TICK = "controller/tick"
-"""All that a tick used and decided, by name in one sensor_msgs/JointState, stamped as its command."""
+"""All that a tick used and decided, by name in one JointState, stamped as its command."""
 CONFIGURATION = "configuration"
 """Below each node: latched std_msgs/String, a YAML document from which the run can be repeated."""
 MARKERS = "markers"
@@ -43,6 +43,17 @@ MAP = "map"
 BASE_LINK = "base_link"
 STEERING_JOINT = "front_steering"
 
+ODOM_FIELDS = (
+    "pose.pose.position.x",
+    "pose.pose.position.y",
+    "pose.pose.orientation",
+    "twist.twist.linear.x",
+    "twist.twist.linear.y",
+    "twist.twist.angular.z",
+)
+"""Where the numbers of a VehicleState after its stamp come from."""
+UNIT = (0.9, 1.1)
+"""Length of a quaternion that was meant to be a rotation."""
 MAX_STEERING = math.pi / 2
 """Larger road-wheel angles are refused [rad]."""
 MAX_SPEED = 100.0
@@ -101,11 +112,16 @@ def vehicle_state(message: Odometry) -> VehicleState:
     """Unpack a state.
 
     Raises:
-        ValueError: A number is not finite, or the quaternion is zero.
+        ValueError: Another frame than `map`, a number that is not finite, or a quaternion that is
+            far from a unit one; with the field's name, its value and the bound.
     """
+    require_map("odom: header", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
-    if q.x == q.y == q.z == q.w == 0.0:
-        raise ValueError("odom: pose.pose.orientation = (0, 0, 0, 0) is no rotation")
+    low, high = UNIT
+    if not low * low <= q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w <= high * high:
+        numbers = f"({q.x:g}, {q.y:g}, {q.z:g}, {q.w:g})"
+        length = f"must have a length in [{low:g}, {high:g}]"
+        raise ValueError(f"odom: pose.pose.orientation = {numbers} {length}")
     state = VehicleState(
         stamp_ns=nanoseconds(message.header.stamp),
         x=position.x,
@@ -115,10 +131,16 @@ def vehicle_state(message: Odometry) -> VehicleState:
         v_y=message.twist.twist.linear.y,
         yaw_rate=message.twist.twist.angular.z,
     )
-    for name, value in state._asdict().items():
+    for name, value in zip(ODOM_FIELDS, state[1:], strict=True):
         if not math.isfinite(value):
             raise ValueError(f"odom: {name} = {value} must be finite")
     return state
+
+
+def require_map(where: str, frame_id: str) -> None:
+    """Raise a ValueError unless a frame is `map`."""
+    if frame_id != MAP:
+        raise ValueError(f"{where}.frame_id = {frame_id!r} must be {MAP!r}")
 
 
 def path_message(points: NDArray[np.float64], stamp_ns: int) -> Path:
@@ -140,11 +162,21 @@ def path_points(message: Path) -> list[tuple[float, float]]:
     """Unpack the positions of a path [m].
 
     Raises:
-        ValueError: The path is in another frame than `map`.
+        ValueError: The path, or a pose that tells a frame, is in another one than `map`, or a
+            position is not finite; with the field's name, its value and the bound.
     """
-    if message.header.frame_id != MAP:
-        raise ValueError(f"reference_path: frame_id = {message.header.frame_id!r} must be {MAP!r}")
-    return [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
+    require_map("reference_path: header", message.header.frame_id)
+    points = []
+    for i, pose in enumerate(message.poses):
+        if pose.header.frame_id:  # mostly left empty
+            require_map(f"reference_path: poses[{i}].header", pose.header.frame_id)
+        x, y = pose.pose.position.x, pose.pose.position.y
+        if not (math.isfinite(x) and math.isfinite(y)):
+            name, value = ("y", y) if math.isfinite(x) else ("x", x)
+            where = f"reference_path: poses[{i}].pose.position.{name}"
+            raise ValueError(f"{where} = {value} must be finite")
+        points.append((x, y))
+    return points
 
 
 def speed_message(speed: Stamped) -> TwistStamped:
@@ -187,8 +219,11 @@ def steering_angle(message: JointState) -> Stamped:
         ValueError: The message does not hold one angle in [-MAX_STEERING, MAX_STEERING].
     """
     angles = list(message.position)
-    if len(angles) != 1 or not abs(angles[0]) <= MAX_STEERING:
-        raise ValueError(f"steering: position = {angles} must hold one angle of at most 90 degrees")
+    if len(angles) != 1:
+        raise ValueError(f"steering: position = {angles} must hold one angle")
+    if not abs(angles[0]) <= MAX_STEERING:
+        bounds = f"[{-MAX_STEERING:.4g}, {MAX_STEERING:.4g}] rad"
+        raise ValueError(f"steering: position[0] = {angles[0]:g} must lie in {bounds}")
     return Stamped(nanoseconds(message.header.stamp), angles[0])
 
 

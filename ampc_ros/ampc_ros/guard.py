@@ -68,7 +68,9 @@ def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> Bound
     v = abs(v_x)
     if v <= MAX_SPEED:
         v = max(v, MIN_SPEED)
-        angle, rate, acceleration, jerk, step = (joined(limits.speed, row, v) for row in rows(limits))
+        angle, rate, acceleration, jerk, step = (
+            joined(limits.speed, row, v) for row in rows(limits)
+        )
     else:
         v = MAX_SPEED
         angle, rate, acceleration, jerk, step = (min(row) for row in rows(limits))
