@@ -163,7 +163,9 @@ def test_an_angle_that_is_not_finite_holds_the_last_one(angle: float) -> None:
 def test_a_rate_that_is_not_finite_becomes_that_of_the_step(rate: float) -> None:
     one = guard()
     answer = one.step(0.2, rate, 5.0)
-    assert answer == (0.2, pytest.approx(2.0), LIMITS.index("not_finite"))
+    assert answer.steering == 0.2
+    assert answer.steering_rate == pytest.approx(2.0)
+    assert LIMITS[answer.limit] == "not_finite"
 
 
 def test_a_command_inside_all_limits_passes_bit_for_bit() -> None:
