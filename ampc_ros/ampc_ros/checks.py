@@ -148,14 +148,8 @@ def check_path(
         Curvature counts as its mean over a wheelbase: points that jitter by 5 cm, as a planner may
         give them, make curvatures of 0.5 1/m of which the car feels a quarter.
     """
+    check_gaps(np.asarray(points, dtype=float), max_gap)
     path = make_path(points)
-    gaps = np.hypot(*np.diff(np.asarray(points, dtype=float), axis=0).T)
-    widest = int(np.argmax(gaps))
-    if len(gaps) > 1 and gaps[widest] > max_gap:
-        raise ValueError(
-            f"path: gap between points {widest} and {widest + 1} = {gaps[widest]:g} m "
-            f"must be at most {max_gap:g} m"
-        )
     most = math.tan(max_angle) / chassis.wheelbase
     bend = mean_curvature(path, chassis.wheelbase)
     sharpest = int(np.argmax(np.abs(bend)))
@@ -165,6 +159,19 @@ def check_path(
             f"must lie in [{-most:.3g}, {most:.3g}] 1/m, what the car can steer"
         )
     return path
+
+
+def check_gaps(points: Array, max_gap: float) -> None:
+    """Raise a ValueError at the widest gap; what is no list of points is left to `make_path`."""
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        return
+    gaps = np.nan_to_num(np.hypot(*np.diff(points, axis=0).T), nan=0.0, posinf=0.0)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] > max_gap:
+        raise ValueError(
+            f"path: gap between points {widest} and {widest + 1} = {gaps[widest]:g} m "
+            f"must be at most {max_gap:g} m"
+        )
 
 
 def mean_curvature(path: Path, length: float) -> Array:
