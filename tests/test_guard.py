@@ -277,8 +277,12 @@ def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: fl
         assert all(a <= b for a, b in zip(strict, bounds(wavy, CHASSIS, speed), strict=True))
 
 
+def test_the_constants_are_what_the_documents_say() -> None:
+    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_SPEED, MAX_MEASURED)
+    assert (LONGEST_PAUSE, SHORTEST) == (2.0, 0.5)
+
+
 def test_the_largest_speed_that_can_be_is_100_metres_a_second() -> None:
-    assert MAX_SPEED == 100.0
     wide = replace(LIMITS_BY_SPEED, max_angle=(0.1, 0.4, 0.2))
     assert bounds(wide, CHASSIS, MAX_SPEED).angle == 0.2
     assert bounds(wide, CHASSIS, math.nextafter(MAX_SPEED, UP)).angle == 0.1
