@@ -140,7 +140,11 @@ def test_a_stamp_half_a_second_back_is_overtaken_and_beyond_that_its_clock_may_h
     filtered = running()
     one = state(1.0)
     one = one._replace(stamp_ns=one.stamp_ns - back_ns)
-    refused(filtered, one, cause, back_ns)
+    reason = refused(filtered, one, cause, back_ns)
+    assert reason == {
+        "out_of_order": f"odom: stamp is {back_ns / 1e9:.3g} s before that of the newest state",
+        "clock_jumped_back": "odom: stamp went back by 0.5 s, more than 0.5 s",
+    }.get(cause)
     assert arrive(filtered, state(1.1)) == ACCEPTED
 
 
@@ -359,6 +363,35 @@ def test_a_twist_is_held_against_the_pose_up_to_a_gap_of_half_a_second() -> None
         filtered = StateFilter()
         arrive(filtered, state(0.0))
         assert arrive(filtered, state(gap, x=0.0)).cause == cause
+
+
+def test_the_window_goes_on_over_a_gap_of_half_a_second() -> None:
+    for gap, cause in ((WINDOW, "twist_contradicts_pose"), (WINDOW + 1e-3, "")):
+        filtered = StateFilter()
+        arrive(filtered, state(0.0))
+        assert arrive(filtered, state(gap, x=9.0 * gap - 0.45)) == ACCEPTED
+        later = gap + 0.1
+        assert arrive(filtered, state(later, x=9.0 * later - 0.9)).cause == cause
+
+
+@pytest.mark.parametrize("yaw", np.arange(-3.0, 3.1, 0.5).tolist())
+def test_the_way_counts_in_all_directions(yaw: float) -> None:
+    v, most = 40.0, 0.5 + 0.05 * 40.0 * WINDOW
+    for drift, cause in ((most - 1e-6, ""), (most + 1e-6, "twist_contradicts_pose")):
+        filtered = StateFilter()
+        for i in range(6):
+            way = (v * 0.1 - drift / 5) * i
+            there = VehicleState(
+                START_NS + i * TICK_NS,
+                way * math.cos(yaw),
+                way * math.sin(yaw),
+                yaw,
+                v,
+                0.0,
+                0.0,
+            )
+            verdict = arrive(filtered, there)
+        assert verdict.cause == cause
 
 
 def test_the_window_stays_small_however_fast_states_come() -> None:

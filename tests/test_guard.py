@@ -3,8 +3,11 @@
 Whatever comes in, what goes out is finite and inside the limits.
 """
 
+import ast
+import inspect
 import math
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -275,6 +278,13 @@ def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: fl
     assert strict == pytest.approx(Bounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
     for speed in (0.0, 5.0, 10.0, 20.0, 50.0, MAX_SPEED):
         assert all(a <= b for a, b in zip(strict, bounds(wavy, CHASSIS, speed), strict=True))
+
+
+def test_the_guard_shares_no_code_with_the_controllers() -> None:
+    tree = ast.parse(Path(inspect.getfile(bounds)).read_text(encoding="utf-8"))
+    froms = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    ours = {name for name in froms if name and name.startswith(("ampc", "sim"))}
+    assert ours == {"ampc_msgs_config.parameters", "ampc_msgs_config.types"}
 
 
 def test_the_constants_are_what_the_documents_say() -> None:
