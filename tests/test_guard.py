@@ -281,7 +281,7 @@ def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: fl
 
 
 def test_the_guard_shares_no_code_with_the_controllers() -> None:
-    tree = ast.parse(Path(inspect.getfile(bounds)).read_text(encoding="utf-8"))
+    tree = ast.parse(Path(inspect.getfile(Guard)).read_text(encoding="utf-8"))
     froms = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     ours = {name for name in froms if name and name.startswith(("ampc", "sim"))}
     assert ours == {"ampc_msgs_config.parameters", "ampc_msgs_config.types"}
