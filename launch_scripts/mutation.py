@@ -32,7 +32,11 @@ EQUIVALENT: dict[str, str] = {
 } | {
     "track: while len(self.window) > 2 and seconds(self.window[1][0], state) >= WINDOW:": (
         "the second of two states is the newest, of age 0"
-    )
+    ),
+    "track: while len(self.window) > 1 and seconds(self.window[1][0], state) > WINDOW:": (
+        "one state more is kept, which is passed over when the window is read"
+    ),
+    "track: if dt <= 0.0:": "0 has been answered before",
 }
 """Mutants that no test can notice, by module and changed line, and why."""
 NOTICED = ("killed", "timeout")

@@ -121,7 +121,8 @@ def test_an_old_state_is_the_matter_of_the_time_outs_and_accepted_here() -> None
 def test_a_stamp_that_has_been_here_is_a_duplicate() -> None:
     filtered = running()
     for _ in range(10):
-        refused(filtered, state(1.0), "duplicate")
+        reason = refused(filtered, state(1.0), "duplicate")
+        assert reason == f"odom: stamp {START_NS + NANOSECONDS} ns has been here before"
     assert filtered.candidate is None
 
 
@@ -231,6 +232,30 @@ def test_the_larger_of_two_speeds_tells_how_far_a_position_may_move() -> None:
         filtered = StateFilter()
         arrive(filtered, first._replace(x=0.0))
         assert filtered.accept(then, then.stamp_ns).cause != "position_jump"
+
+
+@SIDES
+@pytest.mark.parametrize("field", ["v_x", "v_y"])
+@pytest.mark.parametrize("first_moves", [True, False])
+def test_a_speed_to_the_side_counts_as_one_ahead_does(
+    first_moves: bool, field: str, side: float
+) -> None:
+    still = VehicleState(START_NS, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    moving = still._replace(**{field: 9.0})
+    first, then = (moving, still) if first_moves else (still, moving)
+    for moved, jumped in ((1.39, False), (1.41, True)):
+        filtered = StateFilter()
+        arrive(filtered, first)
+        there = then._replace(stamp_ns=START_NS + TICK_NS, y=side * moved)
+        assert (arrive(filtered, there).cause == "position_jump") == jumped
+
+
+@SIDES
+def test_a_heading_may_turn_by_exactly_the_threshold(side: float) -> None:
+    for turned, cause in ((0.2, ""), (math.nextafter(0.2, UP), "heading_jump")):
+        filtered = StateFilter()
+        arrive(filtered, state(0.0))
+        assert arrive(filtered, state(0.1, yaw=side * turned)).cause == cause
 
 
 @SIDES
