@@ -27,8 +27,12 @@ TESTS = {
 }
 """Modules to change, and the tests that have to notice."""
 EQUIVALENT: dict[str, str] = {
-    f"track: self.window.append((state, {numbers}))": "only differences of these numbers are used"
+    f"track: {line}": "only differences of these numbers are used"
     for numbers in ("1.0, 0.0, 0.0", "0.0, 1.0, 0.0", "0.0, 0.0, 1.0")
+    for line in (
+        f"self.window.append((state, {numbers}))",
+        f"self.window = deque([(state, {numbers})], MOST_STATES)",
+    )
 } | {
     "track: while len(self.window) > 2 and seconds(self.window[1][0], state) >= WINDOW:": (
         "the second of two states is the newest, of age 0"

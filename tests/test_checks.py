@@ -241,7 +241,8 @@ def test_a_speed_to_the_side_counts_as_one_ahead_does(
     first_moves: bool, field: str, side: float
 ) -> None:
     still = VehicleState(START_NS, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    moving = still._replace(**{field: 9.0})
+    speed: dict[str, Any] = {field: 9.0}
+    moving = still._replace(**speed)
     first, then = (moving, still) if first_moves else (still, moving)
     for moved, jumped in ((1.39, False), (1.41, True)):
         filtered = StateFilter()
