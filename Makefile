@@ -34,7 +34,7 @@ lint: dev  ## set up, then check format, style and types
 	@$(VENV_PYTHON) -m ruff check .
 	@$(VENV_PYTHON) -m mypy
 
-mutation: dev  ## set up, then change the guard in every small way: a test has to notice
+mutation: dev  ## set up, then change guard and filter in every small way: a test has to notice
 	@$(VENV_PYTHON) -m pip install --quiet -r requirements-mutation.txt
 	@$(VENV_PYTHON) launch_scripts/mutation.py
 

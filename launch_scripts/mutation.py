@@ -1,7 +1,7 @@
-"""Change the code of the guard in every small way there is: a test has to notice each.
+"""Change the code of guard and track in every small way there is: a test has to notice each.
 
 `make mutation`, or `python launch_scripts/mutation.py` where requirements-mutation.txt is
-installed; `--modules guard track checks` for the input checks, too. Writes
+installed; `--modules guard track checks` for the rest of the input checks, too. Writes
 ampc_ros/doc/mutation.md; the exit code is 1 where a mutant survives that is not listed below as
 equivalent.
 """
@@ -149,8 +149,8 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    text = "default: guard; the others take about ten minutes each"
-    parser.add_argument("--modules", nargs="+", default=["guard"], choices=TESTS, help=text)
+    text = "default: guard track; track and checks take minutes"
+    parser.add_argument("--modules", nargs="+", default=["guard", "track"], choices=TESTS, help=text)
     parser.add_argument("--workers", type=int, default=2, help="processes; default: %(default)s")
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "mutation", help="folder")
     return parser.parse_args(arguments)
