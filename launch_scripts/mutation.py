@@ -150,7 +150,9 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     text = "default: guard track; track and checks take minutes"
-    parser.add_argument("--modules", nargs="+", default=["guard", "track"], choices=TESTS, help=text)
+    parser.add_argument(
+        "--modules", nargs="+", default=["guard", "track"], choices=TESTS, help=text
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes; default: %(default)s")
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "mutation", help="folder")
     return parser.parse_args(arguments)
