@@ -12,7 +12,8 @@ from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS
 from launch_scripts.report_drive import NOWHERE, WORDS, Judged
 from launch_scripts.report_lines import PALETTE
-from launch_scripts.report_plots import Panel, Plot, style
+from launch_scripts.report_panels import Panel, style
+from launch_scripts.report_plots import Plot
 
 PLOT = Plot(
     "events",

@@ -89,46 +89,18 @@ def add_reference(figure: go.Figure, path: Array, points: int, first: bool) -> N
 
 def add_car(figure: go.Figure, color: str, first: bool) -> None:
     """Add what moves: the prediction, the outline, and a marker that is seen from afar."""
-    figure.add_trace(
-        go.Scatter(
-            x=[],
-            y=[],
-            mode="lines",
-            name=f"predicted path, at most {OLDEST:g} s old",
-            showlegend=first,
-            line={"color": "#000000", "width": 2.5, "dash": "dot"},
-            hoverinfo="skip",
-        )
-    )
-    figure.add_trace(
-        go.Scatter(
-            x=[],
-            y=[],
-            mode="lines",
-            fill="toself",
-            fillcolor=f"{color}55",
-            line={"color": color, "width": 2},
-            showlegend=False,
-            hoverinfo="skip",
-        )
-    )
-    figure.add_trace(
-        go.Scatter(
-            x=[],
-            y=[],
-            mode="markers",
-            name="car",
-            showlegend=first,
-            marker={
-                "size": 14,
-                "symbol": "arrow",
-                "angleref": "up",
-                "color": color,
-                "line": {"color": "white", "width": 1.5},
-            },
-            hoverinfo="skip",
-        )
-    )
+    predicted = {"color": "#000000", "width": 2.5, "dash": "dot"}
+    outline = {"color": color, "width": 2}
+    marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
+    name = f"predicted path, at most {OLDEST:g} s old"
+    for style in (
+        {"mode": "lines", "name": name, "showlegend": first, "line": predicted},
+        {"mode": "lines", "fill": "toself", "fillcolor": f"{color}55", "line": outline}
+        | {"showlegend": False},
+        {"mode": "markers", "name": "car", "showlegend": first}
+        | {"marker": marker | {"line": {"color": "white", "width": 1.5}}},
+    ):
+        figure.add_trace(go.Scatter(x=[], y=[], hoverinfo="skip", **style))
 
 
 def centres(drive: Judged) -> Array:

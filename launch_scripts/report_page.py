@@ -19,7 +19,8 @@ from launch_scripts.report_drive import Judged
 from launch_scripts.report_events import PLOT as EVENTS
 from launch_scripts.report_events import events_panel
 from launch_scripts.report_map import OLDEST, draw_map
-from launch_scripts.report_plots import Panel, Plot, panels
+from launch_scripts.report_panels import Panel, panels
+from launch_scripts.report_plots import Plot
 from launch_scripts.report_tables import (
     Verdicts,
     badge,

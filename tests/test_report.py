@@ -20,7 +20,7 @@ from launch_scripts.report_drive import Judged, judge_bag
 from launch_scripts.report_known import Given
 from launch_scripts.report_lines import Series, thinned
 from launch_scripts.report_page import MAX_BYTES
-from launch_scripts.report_plots import panels
+from launch_scripts.report_panels import panels
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,

@@ -155,7 +155,7 @@ class Recorder(Node):
         for arrival, log_time_ns in dated:
             if self.arrivals.drafted:
                 self.arrivals.drafted = 0
-                self.recording.begin()
+                self.recording.begin_anew()
             self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:
