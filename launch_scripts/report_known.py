@@ -87,38 +87,36 @@ def known_of(columns: BagColumns, given: Given) -> Known:
     """Give what a bag's configuration tells, completed by what the user says."""
     control = columns.configuration.get("controller", {})
     vehicle = columns.configuration.get("simulator", {}).get("vehicle", {})
-    notes: list[str] = []
-
-    def section(cls: type[T], content: Any, name: str, default: T | None) -> T | None:
-        if not isinstance(content, Mapping) or name not in content:
-            return default
-        try:
-            return build(cls, content[name], f"configuration: {name}")
-        except ValueError as error:
-            notes.append(f"Left out: {error}.")
-            return default
-
-    car = given.vehicle
-    chassis = section(ChassisParameters, control, "chassis", car.chassis if car else None)
+    car, notes = given.vehicle, [] if control else [untold(given)]
+    chassis = section(ChassisParameters, control, "chassis", notes) or (car and car.chassis)
+    size = section(SizeParameters, vehicle, "size", notes) or (car and car.size)
+    if size is None:
+        notes.append("The size of the car is not in the bag: its outline on the map is assumed.")
     numbers = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
     if len(numbers) > 1:
         notes.append(f"The configuration was changed {len(numbers) - 1} times: the last is shown.")
-    size = section(SizeParameters, vehicle, "size", car.size if car else None)
-    if not control:
-        notes.append(untold(given))
-    if size is None:
-        notes.append("The size of the car is not in the bag: its outline on the map is assumed.")
     return Known(
         str(control.get("controller", given.controller)),
         str(control.get("version", "")),
         chassis,
-        section(SteeringParameters, control, "steering", car.steering if car else None),
-        section(ControllerSettings, control, "settings", given.settings),
+        section(SteeringParameters, control, "steering", notes) or (car and car.steering),
+        section(ControllerSettings, control, "settings", notes) or given.settings,
         size,
-        section(GuardLimits, control, "guard", None),
+        section(GuardLimits, control, "guard", notes),
         distance_to_cg(control.get("base_link_to_cg"), chassis, notes),
         tuple(notes),
     )
+
+
+def section(cls: type[T], content: Any, name: str, notes: list[str]) -> T | None:
+    """Build one section of a configuration; notes why it cannot be used."""
+    if not isinstance(content, Mapping) or name not in content:
+        return None
+    try:
+        return build(cls, content[name], f"configuration: {name}")
+    except ValueError as error:
+        notes.append(f"Left out: {error}.")
+        return None
 
 
 def untold(given: Given) -> str:

@@ -124,27 +124,31 @@ def arranged(bag: File, namespace: str, collector: Collector, notes: list[str]) 
     start_ns = int(clock.stamps(commands or odom).min())
     rows = {name: column.rows(clock.stamps(column), start_ns) for name, column in columns.items()}
 
-    def since(logged_ns: int) -> float:
-        return float(clock.translate(np.array([logged_ns]))[0] - start_ns) / NANOSECONDS
-
-    messages = [message() for message in collector.predicted.kept]
     return BagColumns(
         bag,
         namespace,
         start_ns,
         {name: value for name, value in rows.items() if len(value)},
         tick_columns(rows, collector.names),
-        [Sample(since(logged), points) for logged, points in collector.paths],
         [
-            Sample(
-                (ros.nanoseconds(message.header.stamp) - start_ns) / NANOSECONDS,
-                np.array(ros.path_points(message), dtype=float).reshape(-1, 2),
-            )
-            for message in messages
+            Sample(seconds(int(clock.translate(np.array([logged]))[0]), start_ns), points)
+            for logged, points in collector.paths
         ],
+        [predicted(message(), start_ns) for message in collector.predicted.kept],
         configurations(collector.texts, notes),
         notes,
     )
+
+
+def seconds(time_ns: int, start_ns: int) -> float:
+    """Give a time since the start [s]."""
+    return (time_ns - start_ns) / NANOSECONDS
+
+
+def predicted(message: Any, start_ns: int) -> Sample:
+    """Give a predicted path and its time."""
+    points = np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
+    return Sample(seconds(ros.nanoseconds(message.header.stamp), start_ns), points)
 
 
 def note_oddities(topic: str, column: Column, notes: list[str]) -> None:
