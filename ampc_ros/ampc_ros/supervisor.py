@@ -109,7 +109,8 @@ class Supervisor:
             raise ValueError(verdict.reason)
         if verdict.reset:
             self.start_anew_at(state)
-            self._see_path_by(now_ns)
+            if self.path:  # one from before the clock went back grows old from now on
+                self.path = self.path._replace(arrival_ns=min(self.path.arrival_ns, now_ns))
         self.state = Received(state, state.stamp_ns, now_ns)
 
     def start_anew_at(self, state: VehicleState) -> None:
@@ -119,11 +120,6 @@ class Supervisor:
         """
         goes_back = self.state is not None and state.stamp_ns < self.state.stamp_ns
         self.restart(0.0 if goes_back and self.made.simulated_time else None)
-
-    def _see_path_by(self, now_ns: int) -> None:
-        """Let a path that came in before the clock went back grow old from now on."""
-        if self.path and self.path.arrival_ns > now_ns:
-            self.path = self.path._replace(arrival_ns=now_ns)
 
     def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
         """Take a path (n, 2) [m]; one that is in use already is only renewed.
@@ -227,7 +223,11 @@ class Supervisor:
         return self.path.is_older(now_ns, self.made.settings.path_lost)
 
     def _told(
-        self, answer: Answer, guarded: Guarded, ages: tuple[float, ...], measured: float
+        self,
+        answer: Answer,
+        guarded: Guarded,
+        ages: tuple[float, float, float, float],
+        measured: float,
     ) -> Supervision:
         """Say what became of an answer."""
         return Supervision(
