@@ -113,9 +113,10 @@ class Ladder:
         return Answer(FEED_FORWARD, PLAN_USED_UP, steering, command)
 
     def _step(self, state: VehicleState, path: Path, in_force: float) -> Command:
-        """Ask the controller; an angle that is no number counts as not solved."""
+        """Ask the controller; an angle that is no number counts as not solved, and is forgotten."""
         command = self.controller.step(state, path)
-        if not math.isfinite(command.steering):
+        planned = 0.0 if command.plan is None else command.plan
+        if not (math.isfinite(command.steering) and np.isfinite(planned).all()):
             self.controller.reset(in_force)
         elif not self.qp_fault:
             return command
