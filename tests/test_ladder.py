@@ -389,7 +389,9 @@ def test_mirrored_inputs_go_down_the_same_rungs_to_mirrored_angles(
 ) -> None:
     left, right = (climb(name, faults, side, (y, yaw, v_x)) for side in (1.0, -1.0))
     assert [each[:2] for each in left] == [each[:2] for each in right]
-    assert [each[2] for each in left] == [-each[2] for each in right]
+    exact = name in ("preview", "pure_pursuit")  # the paper's active rows round by their order
+    there, back = ([each[2] for each in way] for way in (left, right))
+    assert there == pytest.approx([-angle for angle in back], rel=0, abs=0.0 if exact else 1e-9)
 
 
 @cache
@@ -412,7 +414,9 @@ def climb(
         now_ns = NANOSECONDS + ns(0.1 * k)
         supervisor.ladder.qp_fault = fault == "qp"
         away = LOST + 10.0 if fault == "off" else 0.0
-        state = VehicleState(now_ns, 20.0 + 0.1 * v_x * k, side * (y + away), side * yaw, v_x, 0, 0)
+        state = VehicleState(
+            now_ns, 20.0 + 0.1 * v_x * k, side * (y + away), side * yaw, v_x, 0.0, 0.0
+        )
         supervisor.state = received(state, {"late": 0.3, "lost": 0.6}.get(fault, 0.0))
         decision = supervisor.tick(now_ns)
         assert decision is not None
