@@ -55,8 +55,7 @@ def repeat(
         decision = supervisor.tick(tick.now_ns)
         assert decision is not None  # a state and a path have been fed
         if synchronised:
-            supervisor.guard.reset(tick.values["steering"])
-            supervisor.ladder.controller.take_over(supervisor.steering, stepped=True)
+            supervisor.correct(tick.values["steering"])
         yield decision
 
 
@@ -81,11 +80,11 @@ def differences(tick: RecordedTick, decision: Decision, tolerance: float) -> lis
     Args:
         tick: As recorded.
         decision: As repeated.
-        tolerance: 0: every quantity has to be the same, bit for bit; else only the angle counts, up
-            to this difference [rad].
+        tolerance: 0: every quantity that was recorded has to be the same, bit for bit; else only
+            the angle counts, up to this difference [rad].
     """
     told = {**decision.command.diagnosis._asdict(), **decision.supervision._asdict()}
-    if tolerance > 0:
+    if tolerance > 0 or "rung" not in tick.values:
         told = {"steering": told["steering"]}
     pairs = ((name, tick.values[name], told[name]) for name in told if name in tick.values)
     return [Difference(*pair) for pair in pairs if not is_same(pair[1], pair[2], tolerance)]

@@ -20,7 +20,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
-from sim_vehicle.configuration import simulation_of
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import shipped
@@ -175,6 +174,8 @@ def close_loop(run: RecordedRun, made: Configuration, console: Console) -> int:
     """Drive the simulated car of the bag, and show the result beside the recorded one."""
     if not run.simulator:
         raise ValueError(f"{run.bag}: no simulator/configuration, so there is no car to drive")
+    from sim_vehicle.configuration import simulation_of
+
     simulation = simulation_of(run.simulator, f"{run.bag}: simulator/configuration")
     start_ns = run.ticks[0].state.stamp_ns
     closed = drive(simulation, Supervisor(made._replace(static_path=True)), start_ns)

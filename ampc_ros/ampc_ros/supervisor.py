@@ -131,7 +131,8 @@ class Supervisor:
         if self.path and self.points is not None and np.array_equal(points, self.points):
             self.path = Received(self.path.value, stamp_ns, now_ns)
             return
-        self.follow(check_path(points, self.made.sharpest_curvature), stamp_ns, now_ns)
+        path = check_path(points, self.made.chassis, self.made.max_angle)
+        self.follow(path, stamp_ns, now_ns)
         self.points = points
 
     def follow(self, path: Path, stamp_ns: int, now_ns: int) -> None:
@@ -142,6 +143,12 @@ class Supervisor:
         """
         self.ladder.controller.check(path)
         self.path, self.points = Received(path, stamp_ns, now_ns), None
+
+    def correct(self, steering: float) -> None:
+        """Go on from another angle than the one commanded last [rad]."""
+        if steering != self.steering:
+            self.guard.reset(steering)
+            self.ladder.controller.take_over(self.steering, stepped=True)
 
     def take_steering(self, angle: float) -> None:
         """Take a measured road-wheel angle, which the next tick uses [rad]."""
