@@ -3,7 +3,6 @@
 As YAML text it goes over a latched topic, and so into every recording.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
