@@ -7,15 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.path import Path
-from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import SpeedPlanner
 from ampc_msgs_config.types import (
     NANOSECONDS,
-    Command,
-    Diagnosis,
     Supervision,
-    VehicleState,
     as_received,
 )
 from ampc_ros.configuration import Choices, Configuration, configuration
@@ -109,21 +104,3 @@ def supervised(
         simulation.advance(steers.steering, planner.target_speed(state), period_ns)
     done = Drive(states, np.array(steering), np.zeros(len(states)))
     return Run(judged(done, scenario, vehicle), decisions, times)
-
-
-class Lonely:
-    """A fall-back that steers alone, as a controller."""
-
-    period = 0.1
-
-    def __init__(self, angle: Callable[[VehicleState, Path], float], most: float) -> None:
-        """Take what gives the angle, and its bound [rad]."""
-        self.angle, self.most = angle, most
-
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer a state."""
-        angle = min(max(self.angle(state, path), -self.most), self.most)
-        return Command(state.stamp_ns, angle, 0.0, Diagnosis())
-
-
-STRAIGHT = make_path([(0.0, 0.0), (1000.0, 0.0)])
