@@ -123,8 +123,15 @@ class Bench:
         return drive.log()
 
     def course(self, scenario: Scenario) -> Course:
-        """Drive without a fault, and find the moment that is worst for one."""
+        """Drive without a fault, and find the moment that is worst for one.
+
+        Raises:
+            ValueError: The controller cannot take the path.
+        """
         free = self.log(scenario)
+        if len(free.ticks) < 2:
+            name = self.conditions.controller
+            raise ValueError(f"--scenarios {scenario.name}: {name} refuses this path")
         latest = max(scenario.duration - 3.0 - OBSERVED, EARLIEST)
         allowed = (free.time >= EARLIEST) & (free.time <= latest)
         worst = int(np.argmax(np.where(allowed, np.abs(np.round(free.swing, 6)), -1.0)))

@@ -16,7 +16,8 @@ from ampc_ros.configuration import (
     check_controller,
 )
 from ampc_ros.gain_table import read_gain_table
-from ampc_ros.supervisor import Decision, Received, Supervisor
+from ampc_ros.received import Received
+from ampc_ros.supervisor import Decision, Supervisor
 from launch_scripts.recorded_run import RecordedTick
 
 Change = Callable[[Configuration], Configuration]

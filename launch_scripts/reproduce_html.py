@@ -59,6 +59,7 @@ def table(
     rows: Iterable[Sequence[Parts | Part]],
     caption: Parts,
     cards: bool = False,
+    title: str = "",
 ) -> Html:
     """Give a table whose first column names the rows.
 
@@ -67,6 +68,7 @@ def table(
         rows: Cells.
         caption: Below it, in words.
         cards: On a phone each row is a card; otherwise the table scrolls sideways.
+        title: The table's own caption, above it.
     """
     style = "" if cards else ' class="n"'
     head = f'<th scope="col">{escape(heads[0])}</th>' + "".join(
@@ -74,9 +76,11 @@ def table(
     )
     body = "".join(f"<tr>{_row(heads, row, style)}</tr>\n" for row in rows)
     kind = ' class="cards"' if cards else ""
+    head_line = f"<caption>{escape(title)}</caption>\n" if title else ""
+    below = f'<p class="caption">{text(caption)}</p>\n' if caption else ""
     return Html(
-        f'<div class="scroll"><table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n'
-        f'{body}</tbody></table></div>\n<p class="caption">{text(caption)}</p>\n'
+        f'<div class="scroll"><table{kind}>\n{head_line}<thead><tr>{head}</tr></thead>\n<tbody>\n'
+        f"{body}</tbody></table></div>\n{below}"
     )
 
 

@@ -9,19 +9,27 @@ from rich.table import Table
 from rich.text import Text
 
 from ampc_msgs_config import __version__
+from ampc_msgs_config.bag_columns import read_columns
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.drive_log import read_drive
+from ampc_msgs_config.drive_log import drive_log
 from ampc_msgs_config.metrics import evaluate
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.scenario import Scenario
 from launch_scripts.figure import draw
+from launch_scripts.report import write
+from launch_scripts.report_drive import judge_columns
+from launch_scripts.report_known import Given
+from sim_vehicle.parameters import load_vehicle
 
 LABELS = {
     "mse_m2": ("MSE of the cross-track error", "m2"),
     "mse_lateral_m2": ("MSE of Y - Y_ref(X), the paper's", "m2"),
     "rms_error_m": ("RMS cross-track error", "m"),
+    "p95_error_m": ("95 % of the cross-track error below", "m"),
     "max_error_m": ("largest cross-track error", "m"),
+    "rms_heading_error_deg": ("RMS heading error", "deg"),
     "steering_rms_increment_deg": ("steering effort, RMS increment", "deg/tick"),
+    "steering_reversals": ("steering reversals", ""),
     "steering_max_deg": ("largest steering angle", "deg"),
     "solve_time_p50_us": ("solve time, median", "us"),
     "solve_time_p99_us": ("solve time, 99 %", "us"),
@@ -45,6 +53,11 @@ class Run(NamedTuple):
         return self.folder / "bag"
 
     @property
+    def name(self) -> str:
+        """Name of the run's folder."""
+        return self.folder.resolve().name
+
+    @property
     def title(self) -> str:
         """What was driven, by whom, with which car."""
         controller, vehicle = self.options["controller"], Path(self.options["vehicle"]).stem
@@ -52,7 +65,7 @@ class Run(NamedTuple):
 
 
 def judge(run: Run, ended: str) -> Table:
-    """Write `metrics.json` and `drive.png` of the bag; give the table to show.
+    """Write `metrics.json`, `drive.png` and `report.html` of the bag; give the table to show.
 
     Args:
         run: Its folder holds the bag.
@@ -61,9 +74,11 @@ def judge(run: Run, ended: str) -> Table:
     Raises:
         ValueError: The bag holds no drive.
     """
-    chassis = load(ChassisParameters, find("vehicles", run.options["vehicle"]), "chassis")
+    vehicle = load_vehicle(find("vehicles", run.options["vehicle"]))
+    chassis = vehicle.chassis
     settings = load(ControllerSettings, find("controllers", run.options["settings"]))
-    log = read_drive(run.bag)
+    columns = read_columns(run.bag)
+    log = drive_log(columns)
     metrics = evaluate(log.drive, log.path, chassis.cg_to_rear_axle, settings.sample_time)
     content = {
         "run": run.options,
@@ -74,6 +89,8 @@ def judge(run: Run, ended: str) -> Table:
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     (run.folder / "metrics.json").write_text(text, encoding="utf-8")
     draw(log, run.scenario.lanes, chassis.cg_to_rear_axle, run.title, run.folder / "drive.png")
+    drive = judge_columns(columns, run.name, Given(vehicle, settings, run.options["controller"]))
+    write(run.folder / "report.html", [drive], None, f"Made after a run of {run.title}")
     return table(run.title, metrics)
 
 

@@ -14,7 +14,12 @@ setup(
     python_requires=">=3.10",
     packages=[PACKAGE],
     package_dir={PACKAGE: "."},  # the modules are plain scripts at the root of this folder
-    package_data={PACKAGE: ["fastdds.xml", "page.css", "compare.html", "reproduce.html"]},
+    package_data={
+        PACKAGE: [
+            *("fastdds.xml", "page.css", "compare.html", "reproduce.html", "thresholds.yaml"),
+            *("report.html", "report.css", "report.js"),
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -23,6 +28,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
+            "fuzz = launch_scripts.fuzz:main",
+            "guard_margins = launch_scripts.guard_margins:main",
             "start = launch_scripts.start:main",
             "acceptance = launch_scripts.acceptance:main",
             "compare = launch_scripts.compare:main",
@@ -32,6 +39,7 @@ setup(
             "recover = launch_scripts.recover:main",
             "replay = launch_scripts.replay:main",
             "reproduce = launch_scripts.reproduce:main",
+            "report = launch_scripts.report:main",
             "tune = launch_scripts.tune:main",
         ]
     },

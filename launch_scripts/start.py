@@ -39,6 +39,8 @@ FAULTY = {
     "reference_path": "nav_msgs/msg/Path",
 }
 """What the controller gets from the injector where there are faults."""
+DISPENSABLE = {"markers"}
+"""Nodes without which a drive goes on."""
 WRONG_SET_UP = 2
 """Exit code of this script and of a node whose options are wrong."""
 
@@ -157,6 +159,8 @@ def drive(run: Run, console: Console) -> Ending:
                 nodes.start("injector", "launch_scripts.inject_node", {"faults": given["faults"]})
             nodes.start("controller", "ampc_ros.controller_node", common | control, renamed)
             nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+            look = {key: common[key] for key in ("lock_step", "vehicle")}
+            nodes.start("markers", "ampc_msgs_config.marker_node", look)
             follow(nodes, run.scenario, console)
     except Ending as ending:
         return ending
@@ -200,6 +204,8 @@ def is_over(nodes: Processes) -> bool:
     if ended.get("simulator") == 0:
         return True
     for name, code in ended.items():
+        if name in DISPENSABLE:
+            continue
         if code < 0:
             raise Ending(f"{name} was killed by {signal.Signals(-code).name}", 1)
         raise Ending(f"{name} ended with exit code {code}: {nodes.last_words(name)}", code or 1)
@@ -217,7 +223,9 @@ def finish(run: Run, ending: Ending, console: Console) -> int:
         complain(console, ending)
     try:
         console.print(judge(run, str(ending)))
-        console.print(f"bag, metrics.json, drive.png and logs: {run.folder}", markup=False)
+        console.print(
+            f"bag, report.html, metrics.json, drive.png and logs: {run.folder}", markup=False
+        )
     except ValueError as error:
         if ending.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)

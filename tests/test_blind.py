@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import FEED_FORWARD, NANOSECONDS, OPTIMAL, REASONS, STOP, VehicleState
 from ampc_ros.checks import PACE, StateFilter
 from ampc_ros.configuration import Choices, configuration
-from ampc_ros.ladder import STOP_RATE, Ladder
+from ampc_ros.ladder import STOP_RATE
 from ampc_ros.supervisor import Decision, Supervisor
 
 MS = 1_000_000
@@ -157,15 +156,3 @@ def test_after_the_feed_forward_or_a_refusal_no_older_plan_comes_back() -> None:
     assert blind.command.steering == pytest.approx(newest.supervision.planned_steering)
     supervisor.ladder.qp_fault = False
     assert tick(supervisor, 4.0).supervision.rung == OPTIMAL
-
-
-def test_a_refused_state_leaves_the_last_safe_angle_in_place_of_a_plan() -> None:
-    made = configuration(Choices())
-    supervisor = Supervisor(made)
-    ladder: Ladder = supervisor.ladder
-    path = make_path([(0.0, 0.0), (300.0, 0.0)])
-    for i in range(5):
-        ladder.answer(state(0.1 * i)._replace(y=1.0), path, 0.0)
-    safe = ladder.safe_steering
-    assert ladder.answer(state(0.6)._replace(y=1.0, v_x=-3.0), path, safe).rung == STOP
-    assert ladder.plan.tolist() == [safe]

@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from ampc_msgs_config.metrics import Drive, errors, evaluate, lateral_errors, ticks
+from ampc_msgs_config.metrics import (
+    Drive,
+    distance_driven,
+    errors,
+    evaluate,
+    lateral_errors,
+    reversals,
+    ticks,
+    time_where,
+)
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
@@ -54,7 +63,10 @@ def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
         "mse_m2": 5.0 / 3.0,
         "mse_lateral_m2": 5.0 / 3.0,
         "rms_error_m": math.sqrt(5.0 / 3.0),
+        "p95_error_m": 1.9,
         "max_error_m": 2.0,
+        "rms_heading_error_deg": 0.0,
+        "steering_reversals": 1,
         "steering_rms_increment_deg": math.sqrt((9.0 + 16.0) / 2.0),
         "steering_max_deg": 3.0,
         "solve_time_p50_us": 20.0,
@@ -97,3 +109,30 @@ def test_paper_s_error_is_undefined_where_the_path_is_no_graph() -> None:
     judged = evaluate(drive([0.0] * 3, [0.0] * 3, [0.0, 0.1, 0.2]), bend, 0.0, 0.1)
     assert math.isnan(judged["mse_lateral_m2"])
     assert math.isfinite(judged["mse_m2"])
+
+
+@pytest.mark.parametrize(
+    ("angles", "count"),
+    [
+        ([0.0, 0.0, 0.0], 0),
+        ([0.0, 1.0, 2.0, 3.0], 0),
+        ([0.0, 2.0, 1.0, 3.0], 2),
+        ([0.0, -2.0, -1.0, -3.0], 2),
+        ([1.0, 1.05, 0.95, 1.05, 0.95], 0),
+        ([0.0, 1.0, 0.9, 0.8, 0.7], 1),
+        ([0.0, 0.15, 0.3, 0.15, 0.05], 1),
+    ],
+)
+def test_a_reversal_is_a_turn_by_more_than_the_band(angles: list[float], count: int) -> None:
+    assert reversals(np.radians(angles), band=math.radians(0.2)) == count
+    assert reversals(-np.radians(angles), band=math.radians(0.2)) == count
+
+
+def test_time_counts_from_an_active_tick_to_the_next_one() -> None:
+    time = np.array([0.0, 0.1, 0.4, 0.5])
+    assert time_where(time, np.array([False, True, False, True])) == pytest.approx(0.3)
+
+
+def test_distance_is_the_integral_of_the_speed_forward_or_backward() -> None:
+    time, speed = np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, -4.0])
+    assert distance_driven(time, speed) == pytest.approx(3.0 + 8.0)

@@ -34,7 +34,9 @@ MODULES = {
     "planner": "ampc_ros.planner_node",
     "controller": "ampc_ros.controller_node",
     "simulator": "sim_vehicle.simulator_node",
+    "markers": "ampc_msgs_config.marker_node",
 }
+NEEDED = [name for name in MODULES if name != "markers"]
 
 
 class Started(NamedTuple):
@@ -120,6 +122,7 @@ def test_the_bag_of_a_run_holds_the_offline_loop_to_the_last_bit(tmp_path: Path)
     assert log.drive.steering.tolist() == steering
     assert is_complete(tmp_path / "run" / "bag")
     assert (tmp_path / "run" / "drive.png").stat().st_size > 10_000
+    assert 1_000_000 < (tmp_path / "run" / "report.html").stat().st_size < 3_000_000
     result = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert result["ended"] == "completed"
     assert result["metrics"]["ticks"] == 170
@@ -142,7 +145,7 @@ def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
     assert not [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/clock"]
 
 
-@pytest.mark.parametrize("node", MODULES)
+@pytest.mark.parametrize("node", NEEDED)
 def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     node: str, tmp_path: Path
 ) -> None:
@@ -155,6 +158,18 @@ def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     assert len(read_drive(started.folder / "bag").drive.states) > 5
     assert is_complete(started.folder / "bag") == (node != "recorder")
     assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
+
+
+def test_the_drive_goes_on_when_only_the_markers_are_killed(tmp_path: Path) -> None:
+    started = start_and_drive(tmp_path / "run")
+    os.kill(pid_of("markers", started), signal.SIGKILL)
+    time.sleep(1.5)
+    assert started.process.poll() is None
+    started.process.send_signal(signal.SIGINT)
+    said, _ = started.process.communicate(timeout=30)
+    assert started.process.returncode == 130
+    assert "killed" not in said
+    assert is_complete(started.folder / "bag")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

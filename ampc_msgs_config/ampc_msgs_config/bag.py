@@ -3,6 +3,7 @@
 import heapq
 import tempfile
 from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -12,8 +13,10 @@ from mcap.records import Channel, Schema
 from rclpy.serialization import deserialize_message
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.chunks import ordered
+from ampc_msgs_config.mcap_records import MAGIC
 from ampc_msgs_config.message_types import message_class
-from ampc_msgs_config.salvage import MAGIC, salvage
+from ampc_msgs_config.salvage import salvage
 
 SQLITE = b"SQLite format 3\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -35,12 +38,14 @@ class Entry(NamedTuple):
     """Wall time of publishing [ns]."""
 
 
-def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
+def read(bag: Path, topics: Collection[str] = (), lazy: Collection[str] = ()) -> Iterator[Entry]:
     """Give the messages of a bag in the order of their log times.
 
     Args:
         bag: Folder of the bag, or one of its files.
         topics: Full names of the topics wanted; empty means all.
+        lazy: Full names of those whose messages are decoded when they are called, for a reader
+            who needs few of them.
 
     Returns:
         Messages of types that are installed here; others are skipped. Those of one log time keep
@@ -54,7 +59,7 @@ def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
     found = files(bag)
     for file in found:
         check(file)
-    parts = [read_file(file, topics) for file in found]
+    parts = [read_file(file, topics, lazy) for file in found]
     return heapq.merge(*parts, key=lambda entry: entry.log_time_ns)
 
 
@@ -144,11 +149,11 @@ def whole(stream: IO[bytes]) -> IO[bytes]:
     return target
 
 
-def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
+def read_file(file: Path, topics: Collection[str], lazy: Collection[str] = ()) -> Iterator[Entry]:
     """Give the messages of one MCAP file up to its end, wherever that is."""
     try:
         with whole(plain(file)) as stream:
-            yield from decoded(stream, topics)
+            yield from decoded(stream, topics, lazy)
     except WrongType as error:
         raise ValueError(f"{file}: {error}") from error
     except Exception as error:  # what a damaged byte makes the libraries raise has no end
@@ -156,20 +161,22 @@ def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
         raise ValueError(f"{file}: damaged or foreign: {reason}") from error
 
 
-def decoded(stream: IO[bytes], topics: Collection[str]) -> Iterator[Entry]:
+def decoded(
+    stream: IO[bytes], topics: Collection[str], lazy: Collection[str] = ()
+) -> Iterator[Entry]:
     """Decode the messages of wanted topics whose type is installed."""
-    reader = make_reader(stream, validate_crcs=True)
-    profile = reader.get_header().profile
+    profile = make_reader(stream).get_header().profile
     if profile not in PROFILES:
         raise ValueError(f"its profile is {profile!r}, not 'ros2'")
+    stream.seek(0)
     decoders: dict[int, Decoder | None] = {}
-    for schema, channel, message in reader.iter_messages(topics or None):
+    for schema, channel, log_time_ns, publish_time_ns, data in ordered(stream, topics):
         if channel.id not in decoders:
             decoders[channel.id] = decoder(channel, schema, wanted=bool(topics))
         decode = decoders[channel.id]
         if decode:
-            ros_message = decode(message.data)
-            yield Entry(channel.topic, message.log_time, ros_message, message.publish_time)
+            message = partial(decode, data) if channel.topic in lazy else decode(data)
+            yield Entry(channel.topic, log_time_ns, message, publish_time_ns)
 
 
 class WrongType(ValueError):

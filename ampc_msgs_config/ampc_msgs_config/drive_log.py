@@ -1,20 +1,20 @@
 """A drive as its bag tells it."""
 
 from pathlib import Path as File
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.bag import read
+from ampc_msgs_config.bag_columns import BagColumns, read_columns
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.path import Path as ReferencePath
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
-SOLVE_TIME = "controller/debug/solve_time"
-NEEDED = (ros.ODOM, ros.STEERING_COMMAND, ros.TARGET_SPEED, ros.REFERENCE_PATH, SOLVE_TIME)
+SOLVE_TIME = "solve_time"
+NEEDED = (ros.STEERING_COMMAND, ros.TARGET_SPEED, ros.REFERENCE_PATH)
 
 
 class DriveLog(NamedTuple):
@@ -38,39 +38,38 @@ def read_drive(bag: File, namespace: str | None = None) -> DriveLog:
     Raises:
         ValueError: Names the bag and what it lacks.
     """
-    prefix = _steered_namespace(bag) if namespace is None else namespace.rstrip("/")
-    topics: dict[str, list[Any]] = {f"{prefix}/{name}": [] for name in NEEDED}
-    for entry in read(bag, topics):
-        topics[entry.topic].append(entry.message)
-    for topic, messages in topics.items():
-        if not messages:
-            raise ValueError(f"{bag}: holds no message on {topic}")
-    odom, commands, speeds, paths, solve_times = topics.values()
-    states, steering = _answered(bag, odom, commands)
-    drive = Drive(states, steering, np.array([message.data for message in solve_times]))
-    return DriveLog(
-        drive,
-        make_path(ros.path_points(paths[-1])),
-        _since(states[0].stamp_ns, [ros.target_speed(message) for message in speeds]),
+    return drive_log(read_columns(bag, namespace))
+
+
+def drive_log(columns: BagColumns) -> DriveLog:
+    """Give the drive that a bag holds.
+
+    Raises:
+        ValueError: Names the bag and what it lacks.
+    """
+    bag, namespace, values = columns.bag, columns.namespace, columns.values
+    for topic in NEEDED:
+        if topic not in values:
+            raise ValueError(f"{bag}: holds no message on {namespace}/{topic}")
+    if SOLVE_TIME not in columns.tick:
+        raise ValueError(f"{bag}: holds no message on {namespace}/controller/debug/{SOLVE_TIME}")
+    odom, steering = answered(values[ros.ODOM], values[ros.STEERING_COMMAND])
+    if len(odom) < 2:
+        raise ValueError(f"{bag}: {len(odom)} commands answer a recorded state, 2 are needed")
+    drive = Drive(
+        states_of(odom, columns.start_ns), steering, columns.tick[SOLVE_TIME][:, 1].copy()
     )
+    return DriveLog(drive, make_path(columns.paths[-1].points), values[ros.TARGET_SPEED])
 
 
-def _steered_namespace(bag: File) -> str:
-    for entry in read(bag):
-        if entry.topic.endswith(f"/{ros.STEERING_COMMAND}"):
-            return entry.topic.removesuffix(f"/{ros.STEERING_COMMAND}")
-    raise ValueError(f"{bag}: holds no message on {ros.STEERING_COMMAND}")
+def answered(odom: Array, commands: Array) -> tuple[Array, Array]:
+    """Give the states (n, 7) that a command answers, by its stamp, and its angle (n,) [rad]."""
+    _, state, last = np.intersect1d(odom[:, 0], commands[::-1, 0], return_indices=True)
+    return odom[state], commands[::-1][last, 1]
 
 
-def _answered(bag: File, odom: list[Any], commands: list[Any]) -> tuple[list[VehicleState], Array]:
-    """States that a command answers, in their order, and the commanded angles (n,) [rad]."""
-    angles = dict(ros.steering_angle(message) for message in commands)
-    states = {state.stamp_ns: state for state in map(ros.vehicle_state, odom)}
-    stamps = sorted(angles.keys() & states.keys())
-    if len(stamps) < 2:
-        raise ValueError(f"{bag}: {len(stamps)} commands answer a recorded state, 2 are needed")
-    return [states[stamp] for stamp in stamps], np.array([angles[stamp] for stamp in stamps])
-
-
-def _since(start_ns: int, values: list[ros.Stamped]) -> Array:
-    return np.array([((each.stamp_ns - start_ns) / NANOSECONDS, each.value) for each in values])
+def states_of(odom: Array, start_ns: int) -> list[VehicleState]:
+    """Give rows of time since `start_ns` [s] and state (n, 7) as states."""
+    return [
+        VehicleState(start_ns + round(time * NANOSECONDS), *state) for time, *state in odom.tolist()
+    ]

@@ -1,12 +1,17 @@
 """Judges a finished drive."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ampc_msgs_config.path import Array, Path, Progress
 from ampc_msgs_config.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
+
+REVERSAL_BAND = math.radians(0.2)
+"""Smaller movements of the road wheel are no reversal; 3 deg at a steering wheel geared 16 to 1."""
 
 
 class Drive(NamedTuple):
@@ -43,6 +48,42 @@ def ticks(drive: Drive) -> Array:
     return np.asarray((stamps - stamps[0]) / NANOSECONDS)
 
 
+def rms(values: Array) -> float:
+    """Give the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def missed_ticks(time: Array, period: float) -> int:
+    """Count the ticks that are missing between stamps (n,) [s] of a controller of this period."""
+    gaps = np.rint(np.diff(time) / period).astype(int)
+    return int(np.maximum(gaps - 1, 0).sum())
+
+
+def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:
+    """Count how often a wheel (n,) [rad] turns back by more than `band` [rad]."""
+    count, direction, low, high = 0, 0, math.inf, -math.inf
+    for value in angle.tolist():
+        low, high = min(low, value), max(high, value)
+        turned = -1 if value < high - band else 1 if value > low + band else 0
+        if turned and turned != direction:
+            count += direction != 0
+            direction = turned
+        if turned:
+            low = high = value
+    return count
+
+
+def time_where(time: Array, active: NDArray[np.bool_]) -> float:
+    """Give how long something was active [s]; each tick (n,) [s] counts up to the next one."""
+    lasting = np.diff(time)
+    return float(lasting[active[:-1]].sum())
+
+
+def distance_driven(time: Array, speed: Array) -> float:
+    """Give the integral of the speed (n,) [m/s] over time (n,) [s], in [m]."""
+    return float(np.sum(np.diff(time) * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2))
+
+
 def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
     """Give the numbers of the result table; the unit stands in the name where it is not SI.
 
@@ -52,19 +93,21 @@ def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) ->
         base_link_to_cg: From the point that the states describe to the centre of gravity [m].
         period: Of the controller [s].
     """
-    error = errors(drive, path, base_link_to_cg)[:, 0]
+    error, heading = errors(drive, path, base_link_to_cg).T
     lateral = lateral_errors(drive, path, base_link_to_cg)
     increments = np.degrees(np.diff(drive.steering))
-    gaps = np.rint(np.diff(ticks(drive)) / period).astype(int)
     solve_us = drive.solve_time * 1e6
     return {
         "ticks": len(drive.states),
-        "missed_ticks": int(np.maximum(gaps - 1, 0).sum()),
+        "missed_ticks": missed_ticks(ticks(drive), period),
         "mse_m2": float(np.mean(error**2)),
         "mse_lateral_m2": float(np.mean(lateral**2)),
-        "rms_error_m": float(np.sqrt(np.mean(error**2))),
+        "rms_error_m": rms(error),
+        "p95_error_m": float(np.percentile(np.abs(error), 95)),
         "max_error_m": float(np.abs(error).max()),
-        "steering_rms_increment_deg": float(np.sqrt(np.mean(increments**2))),
+        "rms_heading_error_deg": math.degrees(rms(heading)),
+        "steering_rms_increment_deg": rms(increments),
+        "steering_reversals": reversals(drive.steering),
         "steering_max_deg": float(np.degrees(np.abs(drive.steering).max())),
         "solve_time_p50_us": float(np.percentile(solve_us, 50)),
         "solve_time_p99_us": float(np.percentile(solve_us, 99)),

@@ -3,7 +3,6 @@
 As YAML text it goes over a latched topic, and so into every recording.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from ampc_msgs_config.parameters import (
     ControllerSettings,
     GuardLimits,
     SteeringParameters,
+    check_range,
 )
 from ampc_ros.gain_table import read_gain_table
 
@@ -67,10 +67,9 @@ class Configuration(NamedTuple):
     simulated_time: bool
 
     @property
-    def sharpest_curvature(self) -> float:
-        """Curvature of the smallest circle that the car can be steered on [1/m]."""
-        angle = min(self.settings.max_angle, self.steering.max_angle)
-        return math.tan(angle) / self.chassis.wheelbase
+    def max_angle(self) -> float:
+        """Largest angle that the controller may command [rad]."""
+        return min(self.settings.max_angle, self.steering.max_angle)
 
 
 PARTS: dict[str, type[Checked]] = {
@@ -79,6 +78,12 @@ PARTS: dict[str, type[Checked]] = {
     "settings": ControllerSettings,
     "guard": GuardLimits,
 }
+
+
+TO_CG = {"low": -20.0, "high": 20.0, "unit": "m"}
+"""Bounds of `base_link_to_cg`."""
+KINDS = {"number": int, "gains": dict, "static_path": bool, "simulated_time": bool}
+KIND_NAMES = {int: "a whole number", dict: "a mapping", bool: "true or false"}
 
 
 def default_table(controller: str, vehicle: str) -> str:
@@ -116,7 +121,7 @@ def configuration(choices: Choices) -> Configuration:
 
 def check_controller(name: str) -> None:
     """Raise a ValueError unless there is a controller of this name."""
-    if name not in CONTROLLERS:
+    if name not in tuple(CONTROLLERS):
         raise ValueError(f"controller = {name!r} must be one of {', '.join(CONTROLLERS)}")
 
 
@@ -157,14 +162,20 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
     missing = {"number", *Configuration._fields} - content.keys()
     if missing:
         raise ValueError(f"{where}: missing key {sorted(missing)[0]!r}")
-    check_controller(content["controller"])
+    check_plain(content, where)
     values = {key: content[key] for key in Configuration._fields}
     for key, cls in PARTS.items():
         values[key] = build(cls, values[key], f"{where}: {key}")
-    if not isinstance(values["gains"], Mapping) or not _is_finite(values["base_link_to_cg"]):
-        raise ValueError(f"{where}: gains must be a mapping and base_link_to_cg a number")
-    return Configuration(**values), int(content["number"])
+    return Configuration(**values), content["number"]
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, (int, float)) and math.isfinite(value)
+def check_plain(content: Mapping[str, Any], where: str) -> None:
+    """Raise a ValueError, with place, key and value, unless all that is no part is of its kind."""
+    try:
+        check_controller(content["controller"])
+        check_range("base_link_to_cg", content["base_link_to_cg"], TO_CG)
+        for key, kind in KINDS.items():
+            if not isinstance(content[key], kind):
+                raise ValueError(f"{key} = {content[key]!r} must be {KIND_NAMES[kind]}")
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error

@@ -12,7 +12,7 @@ from ampc_msgs_config.types import (
     STANDSTILL,
     STOP,
 )
-from ampc_ros.supervisor import Decision, Supervisor, ages
+from ampc_ros.supervisor import Decision, Supervisor
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -37,7 +37,7 @@ def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> He
         return Health(STALE, "waiting for odom")
     if supervisor.path is None:
         return Health(WARN, "waiting for reference_path")
-    silence = max(ages(supervisor.state, now_ns))
+    silence = max(supervisor.state.ages(now_ns))
     if silence > supervisor.made.settings.state_lost:
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
     said = [
@@ -52,7 +52,7 @@ def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> He
 
 def _of_path(supervisor: Supervisor, now_ns: int) -> Health:
     assert supervisor.path is not None
-    age, settings = max(ages(supervisor.path, now_ns)), supervisor.made.settings
+    age, settings = max(supervisor.path.ages(now_ns)), supervisor.made.settings
     if supervisor.made.static_path or age <= settings.path_late:
         return Health()
     if age <= settings.path_lost:

@@ -4,39 +4,21 @@ The same object steers over ROS, in the offline loop and in a replay: all times 
 """
 
 import math
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import NANOSECONDS, STOP, Command, Supervision, VehicleState
+from ampc_msgs_config.types import LIMITS, NANOSECONDS, STOP, Command, Supervision, VehicleState
 from ampc_ros.checks import StateFilter, check_path
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller, build_controller
 from ampc_ros.guard import Guard, Guarded
-from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, Answer, Ladder
+from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST, Answer, Ladder
 from ampc_ros.preview import PreviewMpc
-
-T = TypeVar("T")
-
-
-class Received(NamedTuple, Generic[T]):
-    """An input, the time to which it belongs, and when it came in."""
-
-    value: T
-    stamp_ns: int
-    arrival_ns: int
-
-
-class Ages(NamedTuple):
-    """How old an input is."""
-
-    age: float
-    """Since its stamp [s]."""
-    silence: float
-    """Since its arrival [s]."""
+from ampc_ros.received import Received
 
 
 class Decision(NamedTuple):
@@ -61,12 +43,14 @@ class Supervisor:
             ValueError: The gains make the controller's problem numerically singular.
         """
         self.filter = StateFilter()
-        self.number, self.resets, self.ticked_ns = number - 1, 0, 0
+        self.number, self.resets = number - 1, 0
         self.stop_requested = False
         self.state: Received[VehicleState] | None = None
         self.path: Received[Path] | None = None
         self.points: Array | None = None
         self.measured = math.nan
+        self.clips = dict.fromkeys(LIMITS[1:], 0)
+        """How often the guard clipped, under all configurations."""
         self._install(made, build_controller(made, source), 0.0)
 
     def reconfigure(self, made: Configuration, source: object = "gain table") -> None:
@@ -85,15 +69,11 @@ class Supervisor:
 
     def _install(self, made: Configuration, controller: Controller, steering: float) -> None:
         self.made, self.number = made, self.number + 1
+        self.period = controller.period
         self.guard = Guard(made.guard, made.chassis, controller.period)
-        self.guard.reset(steering)
+        self.guard.steering, self.guard.count = steering, self.clips
         self.ladder = Ladder(made, controller)
-        self.ladder.restart(self.steering)
-
-    @property
-    def period(self) -> float:
-        """Time from one tick to the next [s]."""
-        return self.made.settings.sample_time
+        self.ladder.restart(steering)
 
     @property
     def steering(self) -> float:
@@ -110,16 +90,10 @@ class Supervisor:
         """Stamp of the newest state; -1: there is none [ns]."""
         return self.state.stamp_ns if self.state else -1
 
-    def reset(self) -> None:
-        """Forget inputs and requests; the angle in force is kept."""
-        self.filter.reset()
-        self.state = self.path = self.points = None
-        self.stop_requested = False
-        self.restart()
-
     def restart(self, steering: float | None = None) -> None:
         """Let the controller start anew, from the angle in force or from another one [rad]."""
-        self.resets, self.ticked_ns = self.resets + 1, 0
+        self.resets += 1
+        self.measured = math.nan
         if steering is not None:
             self.guard.reset(steering)
         self.ladder.restart(self.steering)
@@ -135,6 +109,8 @@ class Supervisor:
             raise ValueError(verdict.reason)
         if verdict.reset:
             self.start_anew_at(state)
+            if self.path:  # one from before the clock went back grows old from now on
+                self.path = self.path._replace(arrival_ns=min(self.path.arrival_ns, now_ns))
         self.state = Received(state, state.stamp_ns, now_ns)
 
     def start_anew_at(self, state: VehicleState) -> None:
@@ -155,7 +131,8 @@ class Supervisor:
         if self.path and self.points is not None and np.array_equal(points, self.points):
             self.path = Received(self.path.value, stamp_ns, now_ns)
             return
-        self.follow(check_path(points, self.made.sharpest_curvature), stamp_ns, now_ns)
+        path = check_path(points, self.made.chassis, self.made.max_angle)
+        self.follow(path, stamp_ns, now_ns)
         self.points = points
 
     def follow(self, path: Path, stamp_ns: int, now_ns: int) -> None:
@@ -165,7 +142,7 @@ class Supervisor:
             ValueError: The controller cannot follow it; the last valid path is kept.
         """
         self.ladder.controller.check(path)
-        self.path = Received(path, stamp_ns, now_ns)
+        self.path, self.points = Received(path, stamp_ns, now_ns), None
 
     def correct(self, steering: float) -> None:
         """Go on from another angle than the one commanded last [rad]."""
@@ -178,10 +155,15 @@ class Supervisor:
         self.measured = angle
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer a state at once, as controllers do: nothing is late in lock-step."""
+        """Answer a state at once, as controllers do: nothing is late in lock-step.
+
+        Raises:
+            ValueError: See `take_state` and `follow`.
+        """
         now_ns = state.stamp_ns
         if self.path is None or self.path.value is not path:
             self.follow(path, now_ns, now_ns)
+        self.path = Received(path, now_ns, now_ns)
         self.take_state(state, now_ns)
         decision = self.tick(now_ns)
         assert decision is not None
@@ -193,30 +175,20 @@ class Supervisor:
         Args:
             now_ns: Time of the node's clock [ns].
         """
-        if self.state is None or self.path is None:
+        state, path = self.state, self.path
+        if state is None or path is None:
             return None
-        self.ladder.shifted += self._left_out(now_ns)
-        before, measured = self.steering, self._use_measured()
-        answer = self._answer(now_ns)
-        rate = (answer.steering - before) / self.period
-        known = None if math.isnan(measured) else measured
-        guarded = self.guard.step(answer.steering, rate, self.state.value.v_x, known)
-        controller = self.ladder.controller
-        if not answer.stepped or guarded.steering != controller.steering:
-            controller.take_over(guarded.steering, stepped=answer.stepped)
+        measured = self._use_measured()
+        answer = self._answer(state, path.value, now_ns)
+        guarded = self._guard(answer, state.value.v_x, measured)
         self.stop_requested |= answer.rung == STOP or self.is_path_lost(now_ns)
         command = answer.command._replace(
-            stamp_ns=self.state.stamp_ns,
+            stamp_ns=state.stamp_ns,
             steering=guarded.steering,
             steering_rate=guarded.steering_rate,
         )
-        return Decision(command, self._told(now_ns, answer, guarded, measured))
-
-    def _left_out(self, now_ns: int) -> int:
-        """Count the ticks since the last one in which nobody asked: the plan is older by them."""
-        elapsed = (now_ns - self.ticked_ns) / NANOSECONDS if self.ticked_ns else 0.0
-        self.ticked_ns = now_ns
-        return max(round(elapsed / self.period) - 1, 0)
+        ages = (*state.ages(now_ns), *path.ages(now_ns))
+        return Decision(command, self._told(answer, guarded, ages, measured))
 
     def _use_measured(self) -> float:
         """Tell the controller where the steering is, once for each measurement."""
@@ -226,57 +198,58 @@ class Supervisor:
             controller.observe_steering(measured)
         return measured
 
-    def _answer(self, now_ns: int) -> Answer:
+    def _answer(self, state: Received[VehicleState], path: Path, now_ns: int) -> Answer:
         """Choose the rung by the age of state and path."""
-        assert self.state is not None
-        assert self.path is not None
-        settings, old = self.made.settings, max(ages(self.state, now_ns))
-        if old > settings.state_lost:
-            return self.ladder.go_blind(self.steering)
-        if old > settings.state_late:
-            return self.ladder.shift(STATE_LATE)
-        answer = self.ladder.answer(self.state.value, self.path.value, self.steering)
+        if state.is_older(now_ns, self.made.settings.state_lost):
+            return self.ladder.stop(STATE_LOST, self.steering, now_ns)
+        if self.is_state_late(now_ns):
+            return self.ladder.go_on(STATE_LATE, self.steering, now_ns)
+        answer = self.ladder.answer(state.value, path, self.steering, now_ns)
         if answer.reason == NO_REASON and self.is_path_lost(now_ns):
             return answer._replace(reason=PATH_LOST)
         return answer
 
+    def _guard(self, answer: Answer, v_x: float, measured: float) -> Guarded:
+        """Keep an answer to the limits, and tell the controller what is commanded instead."""
+        rate = (answer.steering - self.steering) / self.period
+        known = None if math.isnan(measured) else measured
+        guarded = self.guard.step(answer.steering, rate, v_x, known)
+        controller = self.ladder.controller
+        if not answer.stepped or guarded.steering != controller.steering:
+            controller.take_over(guarded.steering, stepped=answer.stepped)
+        return guarded
+
     def is_state_late(self, now_ns: int) -> bool:
         """Whether the newest state is too old to wait for another one."""
-        return (
-            self.state is not None and max(ages(self.state, now_ns)) > self.made.settings.state_late
-        )
+        return self.state is not None and self.state.is_older(now_ns, self.made.settings.state_late)
 
     def is_path_lost(self, now_ns: int) -> bool:
         """Whether the path is too old to be followed without a stop."""
         if self.path is None or self.made.static_path:
             return False
-        return max(ages(self.path, now_ns)) > self.made.settings.path_lost
+        return self.path.is_older(now_ns, self.made.settings.path_lost)
 
-    def _told(self, now_ns: int, answer: Answer, guarded: Guarded, measured: float) -> Supervision:
+    def _told(
+        self,
+        answer: Answer,
+        guarded: Guarded,
+        ages: tuple[float, float, float, float],
+        measured: float,
+    ) -> Supervision:
         """Say what became of an answer."""
-        assert self.state is not None
-        assert self.path is not None
         return Supervision(
             guarded.steering,
             answer.steering,
             answer.rung,
             answer.reason,
             guarded.limit,
-            *ages(self.state, now_ns),
-            *ages(self.path, now_ns),
+            *ages,
             measured,
             float(self.stop_requested),
             self.resets,
             self.number,
             float(self.ladder.qp_fault),
         )
-
-
-def ages(received: Received[Any], now_ns: int) -> Ages:
-    """Give how old an input is."""
-    return Ages(
-        (now_ns - received.stamp_ns) / NANOSECONDS, (now_ns - received.arrival_ns) / NANOSECONDS
-    )
 
 
 def rehearse(made: Configuration) -> None:
