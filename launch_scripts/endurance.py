@@ -132,7 +132,7 @@ def endure(drive: FaultyDrive, pieces: Iterable[int]) -> list[Minute]:
             outside += not is_inside(tick, guard, last)
             last = tick.decision.command.steering
         below = sum(tick.decision.supervision.rung > 0 for tick in ticks)
-        error = max(abs(error) for _, error, _ in drive.seen)
+        error = max(abs(seen[1]) for seen in drive.seen)
         minutes.append(Minute(resident(), error, len(ticks), outside, below))
         drive.seen.clear()
         drive.told.clear()
@@ -162,7 +162,7 @@ def drive_for(duration: float, file: Path, conditions: Conditions, console: Cons
     pieces = range(round(duration / PIECE))
     minutes = endure(drive, track(pieces, "minutes", console=console))
     expected = round(duration / drive.supervisor.period)
-    drive.seen.append((0.0, 0.0, 0.0))
+    drive.seen.append((0.0, 0.0, 0.0, 0.0))
     log = drive.log()
     return Account(minutes, len(faults), log.rejected.total(), log.missed, expected)
 

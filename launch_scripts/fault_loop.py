@@ -13,10 +13,10 @@ import numpy as np
 from ampc_msgs_config.path import Array, Progress
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import SpeedPlanner
-from ampc_msgs_config.types import NANOSECONDS, as_received, at_distance
+from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received, at_distance
 from ampc_ros.supervisor import Decision, Supervisor
 from ampc_ros.ticks import Ticks
-from launch_scripts.fault_kinds import MAP, ODOM, PATH, STEERING, Message
+from launch_scripts.fault_messages import MAP, ODOM, PATH, STEERING, Message
 from launch_scripts.faults import Injector
 from sim_vehicle.closed_loop import Simulation
 
@@ -24,6 +24,8 @@ ODOM_NS, PATH_NS = 20_000_000, 500_000_000
 """From one state, and from one path, to the next [ns]."""
 PHASE_NS = 10_000_000
 """By which the controller's ticks come after a state [ns]."""
+BRAKING = 2.0
+"""Deceleration of a driver who obeys: one that the tyres can spare in a bend [m/s^2]."""
 START_NS = 1000 * NANOSECONDS
 """What clocks show at the start [ns]."""
 UNIT = (0.9, 1.1)
@@ -47,6 +49,8 @@ class Log(NamedTuple):
     """(n,) of the states [s]."""
     error: Array
     """Real cross-track error of the centre of gravity (n,) [m]."""
+    speed: Array
+    """Real (n,) [m/s]."""
     swing: Array
     """Real lateral acceleration, speed times yaw rate (n,) [m/s^2]."""
     ticks: list[Tick]
@@ -90,7 +94,7 @@ class FaultyDrive:
         self.tick_ns, self.steering, self.speed = PHASE_NS, 0.0, 0.0
         self.answered_ns = -1
         self.refused: Counter[str] = Counter()
-        self.seen: list[tuple[float, float, float]] = []
+        self.seen: list[tuple[float, float, float, float]] = []
         self.told: list[Tick] = []
 
     @property
@@ -123,15 +127,21 @@ class FaultyDrive:
         if now_ns % ODOM_NS == 0:
             car, stamp_ns = self.simulation.car, START_NS + now_ns
             state = as_received(car.measure(stamp_ns))
-            stop = self.obey and self.supervisor.stop_requested
-            self.speed = 0.0 if stop else self.planner.target_speed(state)
+            self.speed = self.target_speed(state)
             centre = at_distance(state, self.simulation.vehicle.chassis.cg_to_rear_axle)
             error = self.progress.errors(centre)[0]
-            self.seen.append((now_ns / NANOSECONDS, error, state.v_x * state.yaw_rate))
+            self.seen.append((now_ns / NANOSECONDS, error, state.v_x, state.v_x * state.yaw_rate))
             self.line.put(Message(STEERING, now_ns, stamp_ns, car.steering))
             self.line.put(Message(ODOM, now_ns, stamp_ns, state))
         if now_ns % PATH_NS == 0:
             self.line.put(Message(PATH, now_ns, START_NS + now_ns, self.points))
+
+    def target_speed(self, state: VehicleState) -> float:
+        """Give the planned speed, or, where the driver obeys a request to stop, less and less."""
+        planned = self.planner.target_speed(state)
+        if not (self.obey and self.supervisor.stop_requested):
+            return planned
+        return max(min(planned, self.speed) - BRAKING * ODOM_NS / NANOSECONDS, 0.0)
 
     def clock_ns(self) -> int:
         """Give the time of the controller's clock [ns]."""
@@ -189,11 +199,11 @@ class FaultyDrive:
 
     def log(self) -> Log:
         """Give what has happened so far."""
-        time, error, swing = np.array(self.seen).T
+        time, error, speed, swing = np.array(self.seen).T
         filtered, clips = self.supervisor.filter.rejected, self.supervisor.guard.count
         rejected = self.refused + Counter({cause: n for cause, n in filtered.items() if n})
         clipped = Counter({limit: n for limit, n in clips.items() if n})
-        return Log(time, error, swing, self.told, rejected, clipped, self.ticks.missed)
+        return Log(time, error, speed, swing, self.told, rejected, clipped, self.ticks.missed)
 
 
 def unreadable(message: Message) -> str:

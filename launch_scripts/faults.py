@@ -13,7 +13,8 @@ import numpy as np
 from ampc_msgs_config.config import build, find, read
 from ampc_msgs_config.parameters import Checked, check_range, choice, number
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from launch_scripts.fault_kinds import KEPT, KINDS, Memory, Message, Window
+from launch_scripts.fault_kinds import KINDS
+from launch_scripts.fault_messages import KEPT, Memory, Message, Window
 
 SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
 MOST = 10_000

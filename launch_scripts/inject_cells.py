@@ -25,6 +25,8 @@ OBSERVED = 10.0
 """Time after a fault of 3 s that each drive has left, at least [s]."""
 NEAR, EXTRA = 0.1, 0.05
 """A car has recovered within NEAR of its path, or EXTRA more than without the fault [m]."""
+STANDING = 0.3
+"""Speed below which a car is safe where it is: the steering holds [m/s]."""
 SETTLED = 0.5
 """For how long at the end of the drive [s]."""
 
@@ -173,7 +175,8 @@ def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
 
 def recovery(log: Log, free: Log, end: float) -> float:
     """Give the time from the end of a fault until all is well for good; nan: it is not [s]."""
-    bad = np.abs(log.error) > np.maximum(NEAR, np.abs(free.error) + EXTRA)
+    moves = log.speed > STANDING
+    bad = moves & ~(np.abs(log.error) <= np.maximum(NEAR, np.abs(free.error) + EXTRA))
     low = [tick.time for tick in log.ticks if tick.decision.supervision.rung != OPTIMAL]
     last = max([*log.time[bad].tolist(), *low, end])
     return math.nan if last > float(log.time[-1]) - SETTLED else after(last, end)

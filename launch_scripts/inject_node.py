@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, spin
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.fault_kinds import ODOM, PATH, STEERING, Message
+from launch_scripts.fault_messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults import Injector, load_plan
 
 FAULTY = "faulty/"

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, wrap_angle
-from launch_scripts.fault_kinds import KINDS, NODE, ODOM, PATH, STEERING, Message
+from launch_scripts.fault_kinds import KINDS
+from launch_scripts.fault_messages import NODE, ODOM, PATH, STEERING, Message
 from launch_scripts.faults import Fault, Injector, Plan
 
 MS = 1_000_000

@@ -150,7 +150,8 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
         ticks.append(whole.ticks[i]._replace(time=float(i), decision=decision._replace(
             supervision=told)))  # fmt: skip
     time = np.arange(10, dtype=np.float64)
-    return whole._replace(time=time, error=np.array(error), ticks=ticks)
+    speed = np.full(10, 9.0)
+    return whole._replace(time=time, error=np.array(error), speed=speed, ticks=ticks)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.types import REASONS, RUNGS, VehicleState
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
-from launch_scripts.fault_kinds import ODOM, PATH, STEERING, Message
+from launch_scripts.fault_messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults import load_plan
 from launch_scripts.inject_node import FAULTY, InjectorNode, packed, unpacked
 from launch_scripts.start import FAULTY as RENAMED
