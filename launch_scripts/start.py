@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ControllerSettings
+from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
@@ -65,6 +65,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--controller", default.controller, "who steers", choices=CONTROLLERS)
     add("--settings", default.settings, "limits of the controller", "controllers")
     add("--gain-table", default.gain_table, "gains of the controller", "gains")
+    add("--guard", "track", "limits of every command", "guards")
     add("--friction", -1.0, "of the road, 0.01 to 3; -1: that of the tyres", type=float)
     add("--noise", "", "of the measurement; default: none", "noise")
     add("--seed", 0, "of the noise", type=int)
@@ -101,6 +102,7 @@ def prepare(chosen: argparse.Namespace) -> Run:
     load(ControllerSettings, find("controllers", chosen.settings))
     if chosen.gain_table:
         load_gain_table(chosen.gain_table)
+    load(GuardLimits, find("guards", chosen.guard))
     if chosen.noise:
         load(MeasurementNoise, find("noise", chosen.noise))
     scenario = choose_scenario(Route(*(getattr(chosen, key) for key in Route._fields)), size)
@@ -131,7 +133,8 @@ def drive(run: Run, console: Console) -> Ending:
     lock_step = not given["real_time"]
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
     route = {key: given[key] for key in Route._fields}
-    control = {key: given[key] for key in ("controller", "settings", "gain_table")}
+    control = {key: given[key] for key in ("controller", "settings", "gain_table", "guard")}
+    control["static_path"] = True  # the planner publishes it once
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}

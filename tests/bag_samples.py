@@ -10,12 +10,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64
+from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import Entry
 from ampc_msgs_config.message_types import message_class, type_name_of
-from ampc_msgs_config.recorder_node import CONTRACT
+from ampc_msgs_config.recorder_node import CONTRACT, LATCHED
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 
@@ -49,6 +49,14 @@ def sample(name: str, stamp_ns: int) -> Any:
         diagnostics = DiagnosticArray(status=[status, DiagnosticStatus()])
         diagnostics.header.stamp = ros.time_message(stamp_ns)
         return diagnostics
+    if name == ros.TICK:
+        tick = ros.joint_message(stamp_ns, float("-inf"), 0.0)
+        tick.name, tick.effort = ["rung"], [0.0]
+        return tick
+    if name == ros.STOP_REQUEST:
+        return Bool(data=True)
+    if name in ros.CONFIGURATIONS:
+        return String(data=f"version: 0.1.0\nnumber: {stamp_ns}\n")
     return Float64(data=stamp_ns / TICK_NS)
 
 
@@ -57,7 +65,7 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
     entries, data = [], []
     with Recording(folder) as recording:
         for name, message_type in CONTRACT.items():
-            qos = ros.LATCHED if name == ros.REFERENCE_PATH else ros.RELIABLE
+            qos = ros.LATCHED if name in LATCHED else ros.RELIABLE
             recording.add_topic(full(name), type_name_of(message_type), [qos])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:

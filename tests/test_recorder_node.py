@@ -23,7 +23,7 @@ from sensor_msgs.msg import Imu
 from ampc_msgs_config import ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.bag import Entry, read
-from ampc_msgs_config.recorder_node import CONTRACT
+from ampc_msgs_config.recorder_node import CONTRACT, LATCHED
 from ampc_msgs_config.types import NANOSECONDS
 from tests.bag_samples import TICK_NS, full, read_with_rosbags, sample, wait_for, write_bag
 
@@ -92,9 +92,10 @@ def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, s
 
 def advertise(node: Node) -> dict[str, Publisher]:
     """Gives a publisher for each topic of the contract."""
-    latched = {ros.REFERENCE_PATH: ros.LATCHED}
     return {
-        name: node.create_publisher(message_type, name, latched.get(name, ros.EVERYTHING))
+        name: node.create_publisher(
+            message_type, name, ros.LATCHED if name in LATCHED else ros.EVERYTHING
+        )
         for name, message_type in CONTRACT.items()
     }
 
@@ -105,7 +106,7 @@ def publish_fast(publishers: dict[str, Publisher]) -> None:
     due = time.monotonic()
     for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):
         for name, publisher in publishers.items():
-            if name != ros.REFERENCE_PATH:
+            if name not in LATCHED:
                 publisher.publish(sample(name, stamp_ns))
         due += 0.002
         time.sleep(max(0.0, due - time.monotonic()))
@@ -117,20 +118,21 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
 ) -> None:
     with talker() as node:
         publishers = advertise(node)
-        publishers[ros.REFERENCE_PATH].publish(sample(ros.REFERENCE_PATH, TICK_NS))
+        for name in LATCHED:
+            publishers[name].publish(sample(name, TICK_NS))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         publish_fast(publishers)
         code, said = stop(recorder, number)
     found = list(read(tmp_path / "bag"))
     assert read_with_rosbags(tmp_path / "bag") == found
-    path = full(ros.REFERENCE_PATH)
-    latched = [entry.message for entry in found if entry.topic == path]
-    assert latched == [sample(ros.REFERENCE_PATH, TICK_NS)]  # when it comes, the middleware decides
-    assert [entry for entry in found if entry.topic != path] == [
+    latched = {full(name): name for name in LATCHED}
+    for topic, name in latched.items():  # when they come, the middleware decides
+        assert [each.message for each in found if each.topic == topic] == [sample(name, TICK_NS)]
+    assert [entry for entry in found if entry.topic not in latched] == [
         Entry(full(name), stamp_ns, sample(name, stamp_ns))
         for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS)
         for name in CONTRACT
-        if name != ros.REFERENCE_PATH
+        if name not in LATCHED
     ]
     assert code == 0
     assert said.count("recording to") == 1

@@ -27,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
@@ -53,8 +53,12 @@ CONTRACT: dict[str, Any] = {
     ros.PREDICTED_PATH: PathMessage,
     ros.WIND: Vector3Stamped,
     ros.DIAGNOSTICS: DiagnosticArray,
+    ros.TICK: JointState,
+    ros.STOP_REQUEST: Bool,
+    **dict.fromkeys(ros.CONFIGURATIONS, String),
     **dict.fromkeys(QUANTITIES, Float64),
 }
+LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, *ros.CONFIGURATIONS}
 LATCHED_EVERYTHING = QoSProfile(
     depth=0,
     history=HistoryPolicy.KEEP_ALL,
@@ -87,7 +91,8 @@ class Recorder(Node):
             clock=self.resolve_topic_name(ros.CLOCK),
             command=self.resolve_topic_name(ros.STEERING_COMMAND),
             quantities={
-                self.resolve_topic_name(name) for name in (*QUANTITIES, ros.PREDICTED_PATH)
+                self.resolve_topic_name(name)
+                for name in (*QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
             },
         )
         self.inputs: dict[str, Subscription] = {}
@@ -97,7 +102,7 @@ class Recorder(Node):
         self.awaited_ns = sys.maxsize
         self.heard = time.monotonic()
         for name, message_type in {**CONTRACT, **parse_topics(further)}.items():
-            qos = LATCHED_EVERYTHING if name == ros.REFERENCE_PATH else ros.EVERYTHING
+            qos = LATCHED_EVERYTHING if name in LATCHED else ros.EVERYTHING
             self.listen(self.resolve_topic_name(name), message_type, qos)
         self.recording = Recording(Path(output))
         self.create_timer(

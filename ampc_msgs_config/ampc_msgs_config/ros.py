@@ -35,6 +35,7 @@ TICK = "controller/tick"
 """What a tick used and decided, by name in one sensor_msgs/JointState, stamped as its command."""
 CONFIGURATION = "configuration"
 """Below each node: latched std_msgs/String, a YAML document from which the run can be repeated."""
+CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
 MARKERS = "markers"
 CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"

@@ -9,13 +9,14 @@ from typing import Any
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import BaseNode, declare, spin
+from ampc_msgs_config.base_node import declare, spin
+from ampc_msgs_config.managed_node import ManagedNode
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import CONTROLLERS, Choices, configuration, gain_file
 from ampc_ros.controller import warm_up
@@ -30,28 +31,23 @@ REPORT_PAUSE = 0.1
 """Least wall time between two reports of changes [s]."""
 
 
-class ControllerNode(BaseNode, LifecycleNodeMixin):
-    """Steers on a timer of the node's clock, or, in lock-step, once for every state.
+class ControllerNode(ManagedNode):
+    """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
 
-    A managed node (ROS 2 lifecycle) that configures and activates itself unless told otherwise.
-    """
+    supervisor: Supervisor
+    outputs: Outputs
+    ticks: Ticks
+    timer: Timer
 
     def __init__(self) -> None:
         """Declare everything; then, where it is to start by itself, configure and activate."""
-        BaseNode.__init__(self, "controller")
-        self.is_active = False
-        self.wrong: ValueError | None = None
+        super().__init__("controller")
         self.decision: Decision | None = None
         self.condition: tuple[float, ...] = ()
         self.reported = -math.inf
         self.commands_given = 0
         self.declare_choices()
-        LifecycleNodeMixin.__init__(self)
-        if declare(self, "autostart", True, "configure and activate at the start"):
-            self.trigger_configure()
-            if self.wrong:
-                raise self.wrong
-            self.trigger_activate()
+        self.start()
 
     def declare_choices(self) -> None:
         """Declare the parameters that say what the controller is made of."""
@@ -75,23 +71,29 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         simulated = self.lock_step or bool(self.get_parameter("use_sim_time").value)
         return Choices(**chosen, simulated_time=simulated)
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def set_up(self) -> None:
         """Load and compile everything; only then publish and subscribe."""
-        try:
-            choices = self.choices({})
-            self.supervisor = Supervisor(configuration(choices), gain_file(choices))
-        except ValueError as error:
-            self.wrong = error
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        warm_up(self.supervisor.ladder.controller)
-        rehearse(self.supervisor.made)
-        self.ticks = Ticks(self.supervisor.period)
-        self.decision, self.wrong = None, None
+        self.load()
+        self.ticks, self.decision = Ticks(self.supervisor.period), None
         self.outputs = Outputs(self, lock_step=self.lock_step)
+        self.while_configured.callback(self.outputs.destroy)
         self.outputs.configuration(self.supervisor)
         self.listen()
-        return super().on_configure(state)
+
+    def load(self) -> None:
+        """Make a supervisor, or exchange what it is made of: the angle in force is kept."""
+        choices = self.choices({})
+        made, source = configuration(choices), gain_file(choices)
+        if hasattr(self, "supervisor"):
+            self.supervisor.reset()
+            self.supervisor.reconfigure(made, source)
+        else:
+            self.supervisor = Supervisor(made, source)
+        ladder = self.supervisor.ladder
+        warm_up(ladder.controller)
+        ladder.restart(self.supervisor.steering)
+        ladder.qp_fault = self.get_parameter("qp_fault").value
+        rehearse(made)
 
     def listen(self) -> None:
         """Subscribe, and offer services."""
@@ -102,55 +104,38 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         ]
         if not self.lock_step:  # where the order of odom and steering_state is nobody's promise
             inputs.append((JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST))
-        self.inputs = [self.create_subscription(*each) for each in inputs]
-        self.offered = [
-            self.create_service(Trigger, "~/reload", self.on_reload),
-            self.create_service(Trigger, "~/reset_stop", self.on_reset_stop),
-        ]
+        leave = self.while_configured.callback
+        for each in inputs:
+            leave(self.destroy_subscription, self.create_subscription(*each))
+        for name, answer in (("reload", self.on_reload), ("reset_stop", self.on_reset_stop)):
+            leave(self.destroy_service, self.create_service(Trigger, f"~/{name}", answer))
         self.add_on_set_parameters_callback(self.on_parameters)
+        leave(self.remove_on_set_parameters_callback, self.on_parameters)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave the topics; the next configuration reads everything anew."""
-        self.remove_on_set_parameters_callback(self.on_parameters)
-        for subscription in self.inputs:
-            self.destroy_subscription(subscription)
-        for service in self.offered:
-            self.destroy_service(service)
-        self.outputs.destroy()
-        return super().on_cleanup(state)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to steer, from the angle in force."""
+    def begin(self) -> None:
+        """Begin to steer, from the angle in force; plans of an earlier time are forgotten."""
+        if self.decision:
+            self.supervisor.restart()
         self.ticks.restart()
         self.supervisor.stop_requested = False
         self.outputs.stop(False)
         if not self.lock_step:
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
-        self.reporting = self.create_timer(1.0, self.on_diagnostics)
-        self.is_active = True
+            self.while_active.callback(self.destroy_timer, self.timer)
+        reporting = self.create_timer(1.0, self.on_diagnostics)
+        self.while_active.callback(self.destroy_timer, reporting)
         self.get_logger().info("ready")
-        return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop steering: hold the angle, and ask for a stop."""
-        self.say_last()
-        if not self.lock_step:
-            self.destroy_timer(self.timer)
-        self.destroy_timer(self.reporting)
-        self.is_active = False
-        return super().on_deactivate(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave the car in the same way."""
-        self.say_last()
-        self.is_active = False
-        return super().on_error(state)
-
-    def say_last(self) -> None:
+    def finish(self) -> None:
         """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
-        if self.is_active and self.decision and not self.lock_step:
+        if not self.lock_step:
             self.outputs.hold()
             self.outputs.stop(True)
+
+    def say_last(self) -> None:
+        """Do the same at the end of the process."""
+        if self.is_active:
+            self.finish()
 
     def on_path(self, message: PathMessage) -> None:
         """Take a new path; a bad one is refused and the old one kept."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import NANOSECONDS, STOP, Command, Supervision, VehicleState
+from ampc_msgs_config.types import LIMITS, NANOSECONDS, STOP, Command, Supervision, VehicleState
 from ampc_ros.checks import StateFilter, check_path
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller, build_controller
@@ -66,6 +66,7 @@ class Supervisor:
         self.path: Received[Path] | None = None
         self.points: Array | None = None
         self.measured = math.nan
+        self.clips = dict.fromkeys(LIMITS[1:], 0)
         self._install(made, build_controller(made, source), 0.0)
 
     def reconfigure(self, made: Configuration, source: object = "gain table") -> None:
@@ -85,7 +86,8 @@ class Supervisor:
     def _install(self, made: Configuration, controller: Controller, steering: float) -> None:
         self.made, self.number = made, self.number + 1
         self.guard = Guard(made.guard, made.chassis, controller.period)
-        self.guard.reset(steering)
+        self.guard.count = self.clips
+        self.guard.steering = steering  # from where it moves at a bounded rate, if it has to
         self.ladder = Ladder(made, controller)
         self.ladder.restart(self.steering)
 
