@@ -21,7 +21,7 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters, check_range
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
-from ampc_ros.controller import CONTROLLERS, default_table
+from ampc_ros.configuration import CONTROLLERS, default_table
 from launch_scripts.compare_cells import (
     QUANTITIES,
     Cell,

@@ -11,7 +11,8 @@ from ampc_msgs_config.metrics import Drive, errors, evaluate, ticks
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received
-from ampc_ros.controller import Choices, Controller, make_controller
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import Controller, make_controller
 from launch_scripts.reproduce_cases import LOST
 from launch_scripts.trials import Driven
 from sim_vehicle.closed_loop import Simulation, drive

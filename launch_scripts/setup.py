@@ -26,6 +26,8 @@ setup(
             "start = launch_scripts.start:main",
             "acceptance = launch_scripts.acceptance:main",
             "compare = launch_scripts.compare:main",
+            "recover = launch_scripts.recover:main",
+            "replay = launch_scripts.replay:main",
             "reproduce = launch_scripts.reproduce:main",
             "tune = launch_scripts.tune:main",
         ]

@@ -1,22 +1,25 @@
 """Messages for every topic of the contract, and bags of them."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import Entry
 from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recorder_node import CONTRACT, LATCHED
 from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.transforms import TF_MESSAGE
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 
 TICK_NS = NANOSECONDS // 10
@@ -57,6 +60,14 @@ def sample(name: str, stamp_ns: int) -> Any:
         return Bool(data=True)
     if name in ros.CONFIGURATIONS:
         return String(data=f"version: 0.1.0\nnumber: {stamp_ns}\n")
+    if name == ros.MARKERS:
+        return MarkerArray(markers=[Marker(ns="Straße", text="µ", type=Marker.ARROW)])
+    if name == ros.PARAMETER_EVENTS:
+        value = ParameterValue(integer_array_value=[-1], double_array_value=[8.3])
+        changed = [Parameter(name="speed", value=value)]
+        return ParameterEvent(stamp=ros.time_message(stamp_ns), changed_parameters=changed)
+    if name == ros.ROSOUT:
+        return Log(stamp=ros.time_message(stamp_ns), level=20, msg="recording")
     return Float64(data=stamp_ns / TICK_NS)
 
 
@@ -69,7 +80,7 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
             recording.add_topic(full(name), type_name_of(message_type), [qos])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:
-                entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns)))
+                entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns), stamp_ns))
                 data.append(serialize_message(entries[-1].message))
                 recording.write(full(name), data[-1], stamp_ns, stamp_ns)
             recording.flush()
@@ -81,15 +92,21 @@ def full(name: str) -> str:
     return "/" + name.lstrip("/")
 
 
-def read_with_rosbags(bag: Path) -> list[Entry]:
-    """Reads a bag with the library rosbags and the definitions in the bag."""
+def contents(entries: Iterable[Entry]) -> list[tuple[str, int, Any]]:
+    """Gives topic, log time and message of each entry."""
+    return [(entry.topic, entry.log_time_ns, entry.message) for entry in entries]
+
+
+def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
+    """Reads a bag with the library rosbags and the definitions in the bag, as `contents` does."""
     found = []
     with AnyReader([bag]) as reader:
-        for link, time_ns, data in reader.messages():
+        links = [link for link in reader.connections if link.msgtype != TF_MESSAGE]
+        for link, time_ns, data in reader.messages(links):
             message = reader.deserialize(data, link.msgtype)
             again = bytes(reader.typestore.serialize_cdr(message, link.msgtype))
             ros_message = deserialize_message(again, message_class(link.msgtype))
-            found.append(Entry(link.topic, time_ns, ros_message))
+            found.append((link.topic, time_ns, ros_message))
     return found
 
 

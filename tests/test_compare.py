@@ -12,7 +12,8 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import evaluate
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, load_scenario
-from ampc_ros.controller import CONTROLLERS, Choices, make_controller
+from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_ros.controller import make_controller
 from launch_scripts.compare import main
 from launch_scripts.compare_cells import (
     QUANTITIES,

@@ -380,7 +380,7 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
         rungs: set[float] = set()
         for tick in range(16):
             y, v_x = MET[min(tick, len(MET) - 1)]
-            message = odometry(NANOSECONDS * (1 + tick), x=10.0 * tick, y=y, v_x=v_x)
+            message = odometry(NANOSECONDS * (1 + tick), x=9.0 * tick, y=y, v_x=v_x)
             steerer.on_odometry(message)
             steerer.on_steering(ros.joint_message(0, 0.0, 0.0))
             steerer.on_timer()
@@ -393,7 +393,7 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
             steerer.supervisor.ladder.qp_fault = tick > len(MET)
         assert {OPTIMAL, SHIFTED_PLAN, FEED_FORWARD} <= rungs
         assert steerer.set_parameters([Parameter("guard", value="track")])[0].successful
-        steerer.on_odometry(odometry(20 * NANOSECONDS, x=186.0, y=-3.0))
+        steerer.on_odometry(odometry(20 * NANOSECONDS, x=171.0, y=-3.0))
         steerer.on_timer()
         assert steerer.decision.supervision.configuration == 2
         after = compiled_signatures()

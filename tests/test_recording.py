@@ -22,7 +22,7 @@ from ampc_msgs_config.message_types import define, type_name_of
 from ampc_msgs_config.recorder_node import CONTRACT
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS
-from tests.bag_samples import TICK_NS, full, read_with_rosbags, wait_for, write_bag
+from tests.bag_samples import TICK_NS, contents, full, read_with_rosbags, wait_for, write_bag
 
 WRITER = """
 import sys, time
@@ -68,7 +68,7 @@ def test_mcap_finds_the_same_bytes_through_its_index(tmp_path: Path) -> None:
 
 def test_rosbags_reads_the_same_content(tmp_path: Path) -> None:
     entries, _ = write_bag(tmp_path, ticks=3)
-    assert read_with_rosbags(tmp_path) == entries
+    assert read_with_rosbags(tmp_path) == contents(entries)
 
 
 def test_type_hashes_are_those_of_the_definitions_in_the_bag(tmp_path: Path) -> None:
@@ -176,4 +176,4 @@ def test_topics_of_types_that_are_not_installed_are_skipped(tmp_path: Path) -> N
             channel = writer.register_channel(f"/{name[:5]}", "cdr", schema)
             writer.add_message(channel, 1, serialize_message(Odometry()), 1)
         writer.finish()
-    assert list(read(tmp_path)) == [Entry("/nav_m", 1, Odometry())]
+    assert list(read(tmp_path)) == [Entry("/nav_m", 1, Odometry(), 1)]

@@ -4,13 +4,21 @@ In real time the log time of a message is the time of its reception. In simulate
 `/clock` that was published last before it, or the first one for what came earlier; a quantity of
 the controller gets the stamp of the command that was published last before it. So the same run
 gives the same times.
+
+A latched message may come in long after it was published, and used. It gets the time at which it
+was published: a reader sees it before the first tick that used it.
 """
 
 import struct
+import time
+from collections import deque
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from ampc_msgs_config.types import NANOSECONDS
+
+CLOCKS_KEPT = 10_000
+"""So many times of `/clock` are remembered for messages that come in late."""
 
 
 class Arrival(NamedTuple):
@@ -30,7 +38,13 @@ class Arrivals:
     """Keeps messages until those that were published before them have come in too."""
 
     def __init__(
-        self, *, simulated: bool, clock: str, command: str, quantities: Collection[str]
+        self,
+        *,
+        simulated: bool,
+        clock: str,
+        command: str,
+        quantities: Collection[str],
+        latched: Collection[str] = (),
     ) -> None:
         """Start empty.
 
@@ -39,15 +53,25 @@ class Arrivals:
             clock: Full name of the topic of the clock.
             command: Full name of the topic of the command.
             quantities: Full names of the topics that describe the command published before.
+            latched: Full names of the topics whose last message whoever comes late gets too.
         """
         self.simulated, self.clock, self.command = simulated, clock, command
-        self.quantities = quantities
+        self.quantities, self.latched = quantities, latched
         self.waiting: list[Arrival] = []
+        self.start_ns = time.time_ns()
         self.clock_ns = self.command_ns = 0
+        self.clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)
+        self.drafted = 0
 
     def add(self, arrival: Arrival) -> None:
         """Keep a message."""
         self.waiting.append(arrival)
+
+    def take_undated(self) -> Iterator[Arrival]:
+        """Give what still waits for the simulated clock to start, each message once."""
+        if self.simulated and not self.clock_ns:
+            yield from self.waiting[self.drafted :]
+            self.drafted = len(self.waiting)
 
     def take_before(self, limit_ns: int) -> Iterator[tuple[Arrival, int]]:
         """Give what was received before a wall time [ns], in the order of publishing.
@@ -72,12 +96,22 @@ class Arrivals:
     def log_time(self, arrival: Arrival) -> int:
         """Give the log time of the next message, as the head of this file says [ns]."""
         if not self.simulated:
-            return arrival.receive_ns
+            latched = arrival.topic in self.latched
+            published_ns = max(arrival.publish_ns, self.start_ns)
+            return min(arrival.receive_ns, published_ns) if latched else arrival.receive_ns
         if arrival.topic == self.clock:
             self.clock_ns = stamp(arrival.data)
+            self.clocks.append((arrival.publish_ns, self.clock_ns))
+        if arrival.topic in self.latched and self.clocks:
+            return self.clock_at(arrival.publish_ns)
         if arrival.topic == self.command:
             self.command_ns = stamp(arrival.data)
         return (self.command_ns if arrival.topic in self.quantities else 0) or self.clock_ns
+
+    def clock_at(self, publish_ns: int) -> int:
+        """Give the simulated time at a wall time of publishing [ns]."""
+        before = (clock_ns for wall_ns, clock_ns in reversed(self.clocks) if wall_ns <= publish_ns)
+        return next(before, self.clocks[0][1])
 
 
 def stamp(data: bytes) -> int:

@@ -1,17 +1,24 @@
 """Read bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+import heapq
+import tempfile
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
-from mcap.records import Channel, DataEnd, Header, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader
+import zstandard
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from rclpy.serialization import deserialize_message
 
+from ampc_msgs_config import ros
 from ampc_msgs_config.message_types import message_class
+from ampc_msgs_config.salvage import MAGIC, salvage
 
-MAGIC = b"\x89MCAP0\r\n"
+SQLITE = b"SQLite format 3\0"
+ZSTD = b"\x28\xb5\x2f\xfd"
 PROFILES = ("ros2", "")
+BLOCK = 1 << 20
 Decoder = Callable[[bytes], Any]
 
 
@@ -24,26 +31,31 @@ class Entry(NamedTuple):
     """Time that a player keeps: simulated time where the clock was simulated [ns]."""
     message: Any
     """The ROS message."""
+    publish_time_ns: int
+    """Wall time of publishing [ns]."""
 
 
 def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
-    """Give the messages of a bag in the order in which they were recorded.
+    """Give the messages of a bag in the order of their log times.
 
     Args:
-        bag: Folder of the bag, or one MCAP file.
+        bag: Folder of the bag, or one of its files.
         topics: Full names of the topics wanted; empty means all.
 
     Returns:
-        Messages of types that are installed here; others are skipped. A file that ends early
-        gives all of its complete chunks; `is_complete` tells.
+        Messages of types that are installed here; others are skipped. Those of one log time keep
+        the order in which they were recorded. A file that ends early gives all that is whole in
+        it; `is_complete` tells.
 
     Raises:
-        ValueError: One line that names the file: there is no bag, or it cannot be understood.
+        ValueError: One line that names the file: there is no bag, it cannot be understood, or a
+            wanted topic of the contract has another type there.
     """
     found = files(bag)
     for file in found:
         check(file)
-    return (entry for file in found for entry in read_file(file, topics))
+    parts = [read_file(file, topics) for file in found]
+    return heapq.merge(*parts, key=lambda entry: entry.log_time_ns)
 
 
 def is_complete(bag: Path) -> bool:
@@ -53,14 +65,19 @@ def is_complete(bag: Path) -> bool:
 
 def is_closed(file: Path) -> bool:
     """Tell whether a file ends as it began, with the magic number."""
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        stream.seek(max(0, size - len(MAGIC)))
-        return size > len(MAGIC) and stream.read() == MAGIC
+    with plain(file) as stream:
+        return ends_well(stream)
+
+
+def ends_well(stream: IO[bytes]) -> bool:
+    """Tell whether an MCAP file ends as it began, with the magic number."""
+    size = stream.seek(0, 2)
+    stream.seek(max(0, size - len(MAGIC)))
+    return size > len(MAGIC) and stream.read() == MAGIC
 
 
 def files(bag: Path) -> list[Path]:
-    """Give the MCAP files of a bag in their order.
+    """Give the MCAP files of a bag, compressed or not, in their order.
 
     Raises:
         ValueError: There is none.
@@ -69,7 +86,11 @@ def files(bag: Path) -> list[Path]:
         return [bag]
     if not bag.is_dir():
         raise ValueError(f"{bag}: there is no such file or folder")
-    found = sorted(bag.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    plain_files = {file.name: file for file in bag.glob("*.mcap")}
+    packed = (file for file in bag.glob("*.mcap.zstd") if file.stem not in plain_files)
+    found = sorted((*plain_files.values(), *packed), key=lambda file: (len(file.stem), file.name))
+    if not found and any(bag.glob("*.db3*")):
+        raise ValueError(f"{bag}: a bag in SQLite files: `ros2 bag convert` makes MCAP of it")
     if not found:
         raise ValueError(f"{bag}: no bag: the folder holds no .mcap file")
     return found
@@ -83,53 +104,98 @@ def check(file: Path) -> None:
     """
     try:
         with file.open("rb") as stream:
-            start = stream.read(len(MAGIC))
+            start = stream.read(len(SQLITE))
     except OSError as error:
         raise ValueError(f"{file}: cannot be read: {error.strerror}") from error
     if not start:
         raise ValueError(f"{file}: no bag: the file is empty")
-    if start != MAGIC:
+    if start == SQLITE:
+        raise ValueError(f"{file}: a bag in SQLite: `ros2 bag convert` makes MCAP of it")
+    if not start.startswith((MAGIC, ZSTD)):
         raise ValueError(f"{file}: no bag: the file does not begin as MCAP files do")
+
+
+def plain(file: Path) -> IO[bytes]:
+    """Open a file; one that is compressed as a whole is unpacked, as far as it goes."""
+    stream = file.open("rb")
+    if stream.read(len(ZSTD)) != ZSTD:
+        stream.seek(0)
+        return stream
+    stream.seek(0)
+    unpacked: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
+    with stream:
+        unpack = zstandard.ZstdDecompressor().decompressobj()
+        while block := stream.read(BLOCK):
+            unpacked.write(unpack.decompress(block))
+    unpacked.seek(0)
+    return unpacked
+
+
+def whole(stream: IO[bytes]) -> IO[bytes]:
+    """Give a complete MCAP file at its beginning: this one, or what is whole in it."""
+    is_whole = ends_well(stream)
+    stream.seek(0)
+    if is_whole:
+        return stream
+    target: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
+    with stream:
+        salvage(stream, target, compress=False)
+    target.seek(0)
+    return target
 
 
 def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
     """Give the messages of one MCAP file up to its end, wherever that is."""
-    with file.open("rb") as stream:
-        try:
-            yield from decoded(StreamReader(stream, validate_crcs=True).records, topics)
-        except Exception as error:  # what a damaged byte makes the libraries raise has no end
-            if not stream.read(1) and not is_closed(file):
-                return
-            reason = " ".join(str(error).split()) or "it ends early"
-            raise ValueError(f"{file}: damaged or foreign: {reason}") from error
+    try:
+        with whole(plain(file)) as stream:
+            yield from decoded(stream, topics)
+    except WrongType as error:
+        raise ValueError(f"{file}: {error}") from error
+    except Exception as error:  # what a damaged byte makes the libraries raise has no end
+        reason = " ".join(str(error).split()) or "it ends early"
+        raise ValueError(f"{file}: damaged or foreign: {reason}") from error
 
 
-def decoded(records: Iterable[McapRecord], topics: Collection[str]) -> Iterator[Entry]:
+def decoded(stream: IO[bytes], topics: Collection[str]) -> Iterator[Entry]:
     """Decode the messages of wanted topics whose type is installed."""
-    schemas: dict[int, Schema] = {}
-    decoders: dict[int, tuple[str, Decoder]] = {}
-    for record in records:
-        if isinstance(record, Header) and record.profile not in PROFILES:
-            raise ValueError(f"its profile is {record.profile!r}, not 'ros2'")
-        if isinstance(record, DataEnd):
-            return
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel) and (not topics or record.topic in topics):
-            decode = decoder(record, schemas.get(record.schema_id))
-            if decode:
-                decoders[record.id] = record.topic, decode
-        elif isinstance(record, Message) and record.channel_id in decoders:
-            topic, decode = decoders[record.channel_id]
-            yield Entry(topic, record.log_time, decode(record.data))
+    reader = make_reader(stream, validate_crcs=True)
+    profile = reader.get_header().profile
+    if profile not in PROFILES:
+        raise ValueError(f"its profile is {profile!r}, not 'ros2'")
+    decoders: dict[int, Decoder | None] = {}
+    for schema, channel, message in reader.iter_messages(topics or None):
+        if channel.id not in decoders:
+            decoders[channel.id] = decoder(channel, schema, wanted=bool(topics))
+        decode = decoders[channel.id]
+        if decode:
+            ros_message = decode(message.data)
+            yield Entry(channel.topic, message.log_time, ros_message, message.publish_time)
 
 
-def decoder(channel: Channel, schema: Schema | None) -> Decoder | None:
-    """Give the way from bytes to a message, or None where the type is not installed."""
-    if schema is None or channel.message_encoding != "cdr":
+class WrongType(ValueError):
+    """A topic of the contract has another type than the contract says."""
+
+
+def decoder(channel: Channel, schema: Schema | None, *, wanted: bool) -> Decoder | None:
+    """Give the way from bytes to a message, or None where the type is not installed.
+
+    Raises:
+        WrongType: The topic is wanted and of the contract, but not of the contract's type.
+    """
+    type_name = schema.name if schema else "no type"
+    right = contract_type(channel.topic)
+    if wanted and right not in (None, type_name):
+        raise WrongType(f"topic {channel.topic} is of type {type_name}, {right} is needed")
+    if channel.message_encoding != "cdr":
         return None
     try:
-        cls = message_class(schema.name)
+        cls = message_class(type_name)
     except ValueError:
         return None
     return lambda data: deserialize_message(data, cls)
+
+
+def contract_type(topic: str) -> str | None:
+    """Give the type of a topic of the contract, in whatever namespace, or None."""
+    fitting = (type_ for name, type_ in ros.TYPES.items() if topic.endswith("/" + name.lstrip("/")))
+    return next(fitting, None)

@@ -1,4 +1,4 @@
-"""What the installed message packages say about a message type, given by its name."""
+"""What is known about a message type, given by its name."""
 
 import importlib
 import json
@@ -6,6 +6,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rosbags.typesys import Stores, get_typestore
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+"""The message types that come with ROS 2 Jazzy, whether they are installed or not."""
 SEPARATOR = "\n" + "=" * 80 + "\nMSG: {}\n"
 
 
@@ -38,13 +42,13 @@ def type_name_of(message: Any) -> str:
 
 @cache
 def define(type_name: str) -> Definition:
-    """Give the definition of an installed message type.
+    """Give the definition of a message type that is installed, or that comes with ROS 2 Jazzy.
 
     Args:
         type_name: Such as `nav_msgs/msg/Odometry`.
 
     Raises:
-        ValueError: The type is not installed.
+        ValueError: The type is neither.
     """
     try:
         description = json.loads(share(type_name).with_suffix(".json").read_text(encoding="utf-8"))
@@ -54,6 +58,9 @@ def define(type_name: str) -> Definition:
             text += SEPARATOR.format(inner.replace("/msg/", "/"))
             text += share(inner).read_text(encoding="utf-8")
     except (ImportError, OSError, ValueError) as error:
+        if type_name in JAZZY.fielddefs:
+            text, _ = JAZZY.generate_msgdef(type_name, ros_version=2)
+            return Definition(text, JAZZY.hash_rihs01(type_name))
         raise ValueError(f"{type_name}: this message type is not installed: {error}") from error
     return Definition(text, hashes[type_name])
 

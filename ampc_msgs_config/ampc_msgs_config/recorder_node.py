@@ -7,32 +7,27 @@ lies in the folder. SIGINT and SIGTERM end it, after all that was published befo
 import signal
 import sys
 import time
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistStamped, Vector3Stamped
-from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 
 WRITE_PERIOD = 0.3
@@ -42,34 +37,13 @@ HOLD = 0.2
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
 
-QUANTITIES = [f"controller/debug/{name}" for name in ros.DEBUG_QUANTITIES]
-CONTRACT: dict[str, Any] = {
-    ros.CLOCK: ClockMessage,
-    ros.ODOM: Odometry,
-    ros.REFERENCE_PATH: PathMessage,
-    ros.TARGET_SPEED: TwistStamped,
-    ros.STEERING_COMMAND: JointState,
-    ros.STEERING_STATE: JointState,
-    ros.PREDICTED_PATH: PathMessage,
-    ros.WIND: Vector3Stamped,
-    ros.DIAGNOSTICS: DiagnosticArray,
-    ros.TICK: JointState,
-    ros.STOP_REQUEST: Bool,
-    **dict.fromkeys(ros.CONFIGURATIONS, String),
-    **dict.fromkeys(QUANTITIES, Float64),
-}
-LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, *ros.CONFIGURATIONS}
-LATCHED_EVERYTHING = QoSProfile(
-    depth=0,
-    history=HistoryPolicy.KEEP_ALL,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""The recorder, where it may come late."""
-WHATEVER = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-"""The recorder, where a publisher offers less, such as a sensor of a car."""
+CONTRACT: dict[str, Any] = {name: message_class(type_) for name, type_ in ros.TYPES.items()}
+LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, ros.TF_STATIC, *ros.CONFIGURATIONS}
+DESCRIBING = (*ros.QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
+"""What the controller publishes about its last command."""
+WHOEVER = {ros.PARAMETER_EVENTS, ros.ROSOUT}
+"""Topics on which every node speaks: what they said before the recorder came is not missed."""
+TRANSFORMS = {ros.TF: ros.RELIABLE, ros.TF_STATIC: ros.LATCHED}
 
 
 class Recorder(Node):
@@ -81,28 +55,30 @@ class Recorder(Node):
         Raises:
             ValueError: A parameter is wrong, or the folder holds a bag already.
         """
-        super().__init__("recorder", start_parameter_services=False)
+        super().__init__("recorder", start_parameter_services=False, enable_rosout=False)
         output = self.parameter("output", "", "Folder of the bag, which must hold none yet.")
         if not output:
             raise ValueError("parameter 'output' must name the folder of the bag")
-        further = self.parameter("topics", [""], "Further topics to record, each as name:type.")
+        further = parse_topics(
+            self.parameter("topics", [""], "Further topics to record, each as name:type.")
+        )
         self.arrivals = Arrivals(
             simulated=bool(self.get_parameter("use_sim_time").value),
             clock=self.resolve_topic_name(ros.CLOCK),
             command=self.resolve_topic_name(ros.STEERING_COMMAND),
-            quantities={
-                self.resolve_topic_name(name)
-                for name in (*QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
-            },
+            quantities={self.resolve_topic_name(name) for name in DESCRIBING},
+            latched={self.resolve_topic_name(name) for name in LATCHED},
         )
+        self.odom = self.resolve_topic_name(ros.ODOM)
+        self.derives_transforms = ros.TF not in map(self.resolve_topic_name, further)
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
         self.first_numbers: dict[str, int] = {}
         self.lost = 0
         self.awaited_ns = sys.maxsize
         self.heard = time.monotonic()
-        for name, message_type in {**CONTRACT, **parse_topics(further)}.items():
-            qos = LATCHED_EVERYTHING if name in LATCHED else ros.EVERYTHING
+        for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
+            qos = ros.LATCHED_EVERYTHING if name in LATCHED else ros.EVERYTHING
             self.listen(self.resolve_topic_name(name), message_type, qos)
         self.recording = Recording(Path(output))
         self.create_timer(
@@ -151,10 +127,12 @@ class Recorder(Node):
         self.lost += event.total_count_change
 
     def on_timer(self) -> None:
-        """Write what has waited long enough, and adapt to publishers that offer less."""
-        until_ns = time.time_ns() - int(HOLD * NANOSECONDS)
-        for arrival, log_time_ns in self.arrivals.take_before(until_ns):
-            self.write(arrival, log_time_ns)
+        """Write what has waited long enough, and adapt to other publishers."""
+        if ros.TF in self.inputs and self.count_publishers(ros.TF):
+            self.derives_transforms = False
+        self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
+        for arrival in self.arrivals.take_undated():
+            self.write(arrival, 0)
         self.recording.flush()
         for topic in self.refused:
             self.get_logger().warning(f"{topic}: asking for less, as a publisher offers less")
@@ -164,8 +142,18 @@ class Recorder(Node):
     def listen_for_less(self, refused: Subscription) -> None:
         """Subscribe anew, without history, or where that was too much, without reliability."""
         latched = refused.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self.listen(refused.topic_name, refused.msg_type, ros.EVERYTHING if latched else WHATEVER)
+        self.listen(
+            refused.topic_name, refused.msg_type, ros.EVERYTHING if latched else ros.WHATEVER
+        )
         self.destroy_subscription(refused)
+
+    def write_all(self, dated: Iterable[tuple[Arrival, int]]) -> None:
+        """Write messages at their log times; the first one replaces what was written undated."""
+        for arrival, log_time_ns in dated:
+            if self.arrivals.drafted:
+                self.arrivals.drafted = 0
+                self.recording.begin()
+            self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:
         """Write one message, the first of a topic together with its quality of service."""
@@ -177,20 +165,42 @@ class Recorder(Node):
             type_name = type_name_of(subscription.msg_type)
             self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
         self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
+        if topic == self.odom and self.derives_transforms:
+            self.write_transforms(arrival, log_time_ns)
+
+    def write_transforms(self, odometry: Arrival, log_time_ns: int) -> None:
+        """Write where the car is, for viewers that know of transforms only."""
+        place = pose_transform(odometry.data)
+        if place is None:
+            return
+        transforms = {ros.TF: place}
+        if ros.TF_STATIC not in self.recording.topics:
+            transforms = {ros.TF_STATIC: footprint_transform(odometry.data), ros.TF: place}
+        for topic, data in transforms.items():
+            if topic not in self.recording.topics:
+                self.recording.add_topic(topic, TF_MESSAGE, [TRANSFORMS[topic]])
+            self.recording.write(topic, data, log_time_ns, odometry.publish_ns)
 
     def close(self) -> None:
         """Write the rest, close the bag, and say what is in it."""
-        for arrival, log_time_ns in self.arrivals.take_all_before(sys.maxsize):
-            self.write(arrival, log_time_ns)
+        self.write_all(self.arrivals.take_all_before(sys.maxsize))
         self.recording.close()
         bag = self.recording
-        missed = sum(number - 1 for number in self.first_numbers.values())
+        missed = sum(self.first_numbers[topic] - 1 for topic in self.first_numbers.keys() - WHOEVER)
         self.get_logger().info(
-            f"recorded {bag.count} messages on {len(bag.topics)} topics, "
-            f"{(bag.end_ns - bag.start_ns) / NANOSECONDS:.1f} s, "
+            f"recorded {bag.extent.count} messages on {len(bag.topics)} topics, "
+            f"{(bag.extent.end_ns - bag.extent.start_ns) / NANOSECONDS:.1f} s, "
             f"{bag.file.stat().st_size / 1e6:.2f} MB, "
             f"{missed} missed at the start, {self.lost} lost: {bag.folder}"
         )
+
+
+def installed_transforms() -> dict[str, Any]:
+    """Give the topics of transforms with their type, where it is installed: not with the wheels."""
+    try:
+        return dict.fromkeys(TRANSFORMS, message_class(TF_MESSAGE))
+    except ValueError:
+        return {}
 
 
 def parse_topics(items: list[str]) -> dict[str, Any]:

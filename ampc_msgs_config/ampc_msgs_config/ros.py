@@ -35,14 +35,40 @@ TICK = "controller/tick"
 """What a tick used and decided, by name in one sensor_msgs/JointState, stamped as its command."""
 CONFIGURATION = "configuration"
 """Below each node: latched std_msgs/String, a YAML document from which the run can be repeated."""
-CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
 MARKERS = "markers"
 CLOCK = "/clock"
 DIAGNOSTICS = "/diagnostics"
+PARAMETER_EVENTS = "/parameter_events"
+ROSOUT = "/rosout"
+TF = "/tf"
+TF_STATIC = "/tf_static"
 DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
 """Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
-TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, "rejected_inputs", "missed_ticks")
+ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
+"""What has been counted since the controller was configured."""
+TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
 """Names in `controller/tick`."""
+QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
+CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
+TYPES = {
+    CLOCK: "rosgraph_msgs/msg/Clock",
+    ODOM: "nav_msgs/msg/Odometry",
+    REFERENCE_PATH: "nav_msgs/msg/Path",
+    TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
+    STEERING_COMMAND: "sensor_msgs/msg/JointState",
+    STEERING_STATE: "sensor_msgs/msg/JointState",
+    PREDICTED_PATH: "nav_msgs/msg/Path",
+    WIND: "geometry_msgs/msg/Vector3Stamped",
+    STOP_REQUEST: "std_msgs/msg/Bool",
+    TICK: "sensor_msgs/msg/JointState",
+    MARKERS: "visualization_msgs/msg/MarkerArray",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+    PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",
+    ROSOUT: "rcl_interfaces/msg/Log",
+    **dict.fromkeys(CONFIGURATIONS, "std_msgs/msg/String"),
+    **dict.fromkeys(QUANTITIES, "std_msgs/msg/Float64"),
+}
+"""Message type of each topic of the contract."""
 
 MAP = "map"
 BASE_LINK = "base_link"
@@ -81,6 +107,17 @@ EVERYTHING = QoSProfile(
     depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
 )
 """The recorder."""
+LATCHED_EVERYTHING = QoSProfile(
+    depth=0,
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The recorder, where it may come late."""
+WHATEVER = QoSProfile(
+    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+"""The recorder, where a publisher offers less, such as a sensor of a car."""
 
 
 class Stamped(NamedTuple):

@@ -77,7 +77,7 @@ class ControllerNode(ManagedNode):
         self.ticks, self.decision = Ticks(self.supervisor.period), None
         self.outputs = Outputs(self, lock_step=self.lock_step)
         self.while_configured.callback(self.outputs.destroy)
-        self.outputs.configuration(self.supervisor)
+        self.publish_configuration()
         self.listen()
 
     def load(self) -> None:
@@ -211,9 +211,10 @@ class ControllerNode(ManagedNode):
         )
         if decision:
             timing = time.perf_counter() - start, self.ticks.lateness_ns / NANOSECONDS
-            self.outputs.decision(decision, timing, (self.rejected, self.ticks.missed))
-            self.decision = decision
             self.commands_given += 1
+            account = self.rejected, self.ticks.missed, self.commands_given
+            self.outputs.decision(decision, timing, account)
+            self.decision = decision
             self.tell(decision)
 
     def tell(self, decision: Decision) -> None:
@@ -254,6 +255,10 @@ class ControllerNode(ManagedNode):
                 "controller is configured"
             )
         self.supervisor.reconfigure(made, gain_file(choices))
+        self.publish_configuration()
+
+    def publish_configuration(self) -> None:
+        """Say what the controller is made of now."""
         self.outputs.configuration(self.supervisor)
         self.get_logger().info(f"configuration {self.supervisor.number} in use")
 

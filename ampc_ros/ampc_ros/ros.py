@@ -60,7 +60,7 @@ class Outputs:
         Args:
             decision: Of this tick.
             timing: Solve time and lateness of the timer [s].
-            account: Inputs rejected and ticks missed so far.
+            account: Numbers of ACCOUNT.
         """
         command, supervision = decision
         self.newest = ros.steering_message(command)

@@ -49,18 +49,19 @@ class Decision(NamedTuple):
 class Supervisor:
     """A controller between its inputs and the steering."""
 
-    def __init__(self, made: Configuration, source: object = "gain table") -> None:
+    def __init__(self, made: Configuration, source: object = "gain table", number: int = 1) -> None:
         """Make controller, ladder and guard, at rest.
 
         Args:
             made: What all is made of.
             source: Of the gains, for the message.
+            number: Of this configuration; each further one counts on.
 
         Raises:
             ValueError: The gains make the controller's problem numerically singular.
         """
         self.filter = StateFilter()
-        self.number = self.resets = 0
+        self.number, self.resets = number - 1, 0
         self.stop_requested = False
         self.state: Received[VehicleState] | None = None
         self.path: Received[Path] | None = None
@@ -167,6 +168,12 @@ class Supervisor:
         """
         self.ladder.controller.check(path)
         self.path = Received(path, stamp_ns, now_ns)
+
+    def correct(self, steering: float) -> None:
+        """Go on from another angle than the one commanded last [rad]."""
+        if steering != self.steering:
+            self.guard.reset(steering)
+            self.ladder.controller.take_over(self.steering, stepped=True)
 
     def take_steering(self, angle: float) -> None:
         """Take a measured road-wheel angle, which the next tick uses [rad]."""

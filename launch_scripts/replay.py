@@ -1,0 +1,205 @@
+"""Feed a recorded run through the controller again, and compare every command with the old one.
+
+`python launch_scripts/replay.py BAG`: the same programme on the same kind of machine gives the same
+bits; the first difference is shown with its inputs. With `--controller`, `--gain-table` or `--set`
+the changed controller answers the recorded situations (open loop: the recorded car does not react
+to it); with `--close-loop` besides, it drives the simulated car of the bag from its start.
+
+The exit code is 0 where all commands agree or something was changed, 1 where one differs, 2 where
+the bag or an option is wrong.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ampc_msgs_config import __version__
+from ampc_msgs_config.config import shipped
+from ampc_msgs_config.metrics import Drive, evaluate
+from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS
+from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
+from ampc_ros.supervisor import Supervisor, rehearse
+from launch_scripts.recorded_run import RecordedRun, RecordedTick, read_run
+from launch_scripts.repetition import (
+    Change,
+    Difference,
+    differences,
+    repeat,
+    with_controller,
+    with_gains,
+    with_value,
+)
+from launch_scripts.result import LABELS
+from sim_vehicle.closed_loop import drive
+
+WRONG_SET_UP = 2
+
+
+def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("bag", type=Path, help="folder of a bag, or one MCAP file")
+    add("--namespace", help="of the topics, such as /car1; default: where steering begins")
+    add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")
+    add("--controller", choices=CONTROLLERS, help="another controller")
+    add("--gain-table", help=f"other gains: YAML file, or {', '.join(shipped('gains'))}")
+    add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="such as settings.friction=0.5")
+    add("--close-loop", action="store_true", help="drive the simulated car of the bag")
+    text = "the car, where the bag does not say: YAML file, or " + ", ".join(shipped("vehicles"))
+    add("--vehicle", default=Choices().vehicle, help=text + "; default: %(default)s")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Repeat, compare, show; gives the exit code."""
+    chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
+    try:
+        changes = changes_of(chosen)
+        run = read_run(chosen.bag, chosen.namespace)
+        made = changed(made_of(run, chosen), changes)
+        say(run, console)
+        if chosen.close_loop:
+            return close_loop(run, made[min(made)], console)
+        return repeat_and_compare(run, made, bool(changes), chosen.tolerance, console)
+    except ValueError as error:
+        console.print(Text.assemble(("error:", "red"), f" {error}"))
+        return WRONG_SET_UP
+
+
+def changes_of(chosen: argparse.Namespace) -> list[Change]:
+    """Give what is to be changed, in the order in which it acts."""
+    changes = [with_controller(chosen.controller)] if chosen.controller else []
+    changes += [with_gains(chosen.gain_table)] if chosen.gain_table else []
+    return changes + [with_value(text) for text in chosen.set]
+
+
+def made_of(run: RecordedRun, chosen: argparse.Namespace) -> dict[int, Configuration]:
+    """Give what the controller was made of; where the bag is silent, what the options say."""
+    if run.made:
+        return run.made
+    run.notes.append("no controller/configuration: taken as the default of --vehicle")
+    choices = Choices(vehicle=chosen.vehicle, static_path=True, simulated_time=True)
+    return {1: configuration(choices)}
+
+
+def changed(made: dict[int, Configuration], changes: Sequence[Change]) -> dict[int, Configuration]:
+    """Apply changes to every configuration of a run."""
+    for change in changes:
+        made = {number: change(each) for number, each in made.items()}
+    return made
+
+
+def say(run: RecordedRun, console: Console) -> None:
+    """Print what is missing in a bag."""
+    if run.version not in ("", __version__):
+        run.notes.append(f"recorded by version {run.version}, this is {__version__}")
+    first = run.ticks[0].values.get("commands", 1.0)
+    if first > 1:
+        run.notes.append(f"begins at tick {first:.0f}: what the controller remembered is not known")
+    for note in run.notes:
+        console.print(f"note: {note}", markup=False)
+
+
+def repeat_and_compare(
+    run: RecordedRun,
+    made: dict[int, Configuration],
+    is_changed: bool,
+    tolerance: float,
+    console: Console,
+) -> int:
+    """Replay a run; gives the exit code."""
+    for each in made.values():
+        rehearse(each)
+    begin = time.perf_counter()
+    decisions = list(repeat(run.ticks, made, synchronised=is_changed))
+    took = time.perf_counter() - begin
+    pairs = list(zip(run.ticks, decisions, strict=True))
+    found = [differences(tick, decision, tolerance) for tick, decision in pairs]
+    off = [abs(t.values["steering"] - d.supervision.steering) for t, d in pairs]
+    table = Table("quantity", "value", title=f"replay of {run.bag}", title_justify="left")
+    length = (run.ticks[-1].now_ns - run.ticks[0].now_ns) / NANOSECONDS
+    table.add_row("ticks", f"{len(pairs)}")
+    table.add_row("ticks that differ", f"{sum(map(bool, found))}")
+    table.add_row(
+        "difference of the angle, RMS [deg]", f"{np.degrees(np.sqrt(np.mean(np.square(off)))):.3g}"
+    )
+    table.add_row("difference of the angle, largest [deg]", f"{np.degrees(max(off)):.3g}")
+    table.add_row("times real time", f"{length / took:.0f}")
+    console.print(table)
+    if is_changed:
+        console.print("open loop: each tick answers the recorded situation from the recorded angle")
+        return 0
+    for (tick, _), difference in zip(pairs, found, strict=True):
+        if difference:
+            show(tick, tick.now_ns - run.ticks[0].now_ns, difference, console)
+            return 1
+    console.print("every command is the recorded one" + (", bit for bit" if not tolerance else ""))
+    return 0
+
+
+def show(
+    tick: RecordedTick, since_ns: int, difference: Sequence[Difference], console: Console
+) -> None:
+    """Print the first difference with the inputs of its tick."""
+    table = Table(
+        "quantity", "recorded", "repeated", title="first difference", title_justify="left"
+    )
+    for each in difference:
+        table.add_row(each.quantity, f"{each.recorded:.17g}", f"{each.repeated:.17g}")
+    console.print(table)
+    console.print(f"at {since_ns / NANOSECONDS:.3f} s, stamp {tick.state.stamp_ns} ns")
+    for name, value in tick.state._asdict().items():
+        console.print(f"  {name} = {value!r}", markup=False)
+    for name in ("state_age", "path_age", "measured_steering", "qp_fault", "configuration"):
+        if name in tick.values:
+            console.print(f"  {name} = {tick.values[name]!r}", markup=False)
+    if "rung" in tick.values:
+        rung, reason = RUNGS[int(tick.values["rung"])], REASONS[int(tick.values["reason"])]
+        console.print(f"  rung = {rung}, reason = {reason}", markup=False)
+
+
+def close_loop(run: RecordedRun, made: Configuration, console: Console) -> int:
+    """Drive the simulated car of the bag, and show the result beside the recorded one."""
+    if not run.simulator:
+        raise ValueError(f"{run.bag}: no simulator/configuration, so there is no car to drive")
+    from sim_vehicle.configuration import simulation_of
+
+    simulation = simulation_of(run.simulator, f"{run.bag}: simulator/configuration")
+    start_ns = run.ticks[0].state.stamp_ns
+    closed = drive(simulation, Supervisor(made._replace(static_path=True)), start_ns)
+    table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")
+    before, after = (judged(each, run, made) for each in (recorded(run), closed))
+    for key, (label, unit) in LABELS.items():
+        if key in before and np.isfinite(before[key]) and not key.startswith("solve_time"):
+            table.add_row(label, f"{before[key]:.4g}", f"{after[key]:.4g}", unit)
+    console.print(table)
+    return 0
+
+
+def recorded(run: RecordedRun) -> Drive:
+    """Give a recorded run as a drive."""
+    steering = np.array([tick.values["steering"] for tick in run.ticks])
+    solve_time = np.array([tick.values.get("solve_time", np.nan) for tick in run.ticks])
+    return Drive([tick.state for tick in run.ticks], steering, solve_time)
+
+
+def judged(finished: Drive, run: RecordedRun, made: Configuration) -> dict[str, Any]:
+    """Give the numbers of a drive."""
+    path = make_path(run.ticks[-1].path.points)
+    return evaluate(finished, path, made.base_link_to_cg, made.settings.sample_time)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

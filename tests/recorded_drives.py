@@ -1,0 +1,61 @@
+"""Drives without ROS that leave the bag which the nodes would have left."""
+
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.message_types import type_name_of
+from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.types import VehicleState
+from ampc_ros.configuration import to_yaml
+from ampc_ros.supervisor import Decision, Supervisor
+
+
+class Bag:
+    """A bag that grows message by message; a context manager."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open a new bag."""
+        self.recording = Recording(folder)
+        self.now_ns = 0
+
+    def __enter__(self) -> "Bag":
+        """Give the open bag."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the bag."""
+        self.recording.close()
+
+    def add(self, topic: str, message: Any) -> None:
+        """Write a message at the time now, after all others."""
+        self.now_ns += 1000
+        if topic not in self.recording.topics:
+            self.recording.add_topic(topic, type_name_of(type(message)), [ros.RELIABLE])
+        self.recording.write(topic, serialize_message(message), self.now_ns, self.now_ns)
+
+    def configuration(self, supervisor: Supervisor) -> None:
+        """Write what a controller is made of."""
+        text = to_yaml(supervisor.made, supervisor.number)
+        self.add(f"/controller/{ros.CONFIGURATION}", String(data=text))
+
+    def path(self, points: Any, stamp_ns: int) -> None:
+        """Write a reference."""
+        self.add(f"/{ros.REFERENCE_PATH}", ros.path_message(points, stamp_ns))
+
+    def state(self, state: VehicleState) -> VehicleState:
+        """Write a measured state; gives it as a subscriber reads it."""
+        message = ros.odometry_message(state)
+        self.add(f"/{ros.ODOM}", message)
+        return ros.vehicle_state(message)
+
+    def decision(self, decision: Decision, commands: int, *, tick: bool = True) -> None:
+        """Write a command, and with it how it came about."""
+        command, supervision = decision
+        self.add(f"/{ros.STEERING_COMMAND}", ros.steering_message(command))
+        values = (*command.diagnosis, 0.001, 0.0, *supervision, 0, 0, commands)
+        if tick:
+            self.add(f"/{ros.TICK}", ros.tick_message(command.stamp_ns, values))
