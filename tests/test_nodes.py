@@ -395,6 +395,7 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
         assert steerer.set_parameters([Parameter("guard", value="track")])[0].successful
         steerer.on_odometry(odometry(20 * NANOSECONDS, x=171.0, y=-3.0))
         steerer.on_timer()
+        assert steerer.decision
         assert steerer.decision.supervision.configuration == 2
         after = compiled_signatures()
     return {

@@ -29,10 +29,13 @@ from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import VehicleState
 
 PARAMETER_EVENTS = "/parameter_events"
-OK, WARN = DiagnosticStatus.OK[0], DiagnosticStatus.WARN[0]
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DELIVERY = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
+FAREWELL = 0.5
+"""The same where nobody said that a recorder listens [s]."""
 
 
 class BaseNode(Node):
@@ -82,8 +85,8 @@ class BaseNode(Node):
         """Publish what others need when this node ends."""
 
     def deliver(self) -> None:
-        """Wait until the recorder has all that this node has published, where it was waited for."""
-        until = time.monotonic() + (DELIVERY if self.is_recorded else 0.0)
+        """Wait until all have the last words; the recorder, where it was waited for, longer."""
+        until = time.monotonic() + (DELIVERY if self.is_recorded else FAREWELL)
         for publisher in self.publishers:
             rest = max(until - time.monotonic(), 0.0)
             publisher.wait_for_all_acked(Duration(seconds=rest))

@@ -3,39 +3,29 @@
 import math
 import sys
 import time
-from functools import partial
-from typing import Any
 
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import declare, spin
-from ampc_msgs_config.managed_node import ManagedNode
+from ampc_msgs_config.base_node import WARN, spin
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.configuration import CONTROLLERS, Choices, configuration, gain_file
-from ampc_ros.controller import warm_up
-from ampc_ros.health import health, numbers
+from ampc_ros.configured_node import ConfiguredNode
+from ampc_ros.health import Condition, change, condition, health, numbers
 from ampc_ros.ros import Outputs
-from ampc_ros.supervisor import Decision, Supervisor, rehearse
+from ampc_ros.supervisor import Decision
 from ampc_ros.ticks import Ticks
 
-RUN_TIME = ("settings", "gain_table", "guard", "static_path")
-"""What a running controller may exchange."""
 REPORT_PAUSE = 0.1
 """Least wall time between two reports of changes [s]."""
 
 
-class ControllerNode(ManagedNode):
+class ControllerNode(ConfiguredNode):
     """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
 
-    supervisor: Supervisor
-    outputs: Outputs
     ticks: Ticks
     timer: Timer
 
@@ -43,33 +33,12 @@ class ControllerNode(ManagedNode):
         """Declare everything; then, where it is to start by itself, configure and activate."""
         super().__init__("controller")
         self.decision: Decision | None = None
-        self.condition: tuple[float, ...] = ()
+        self.condition = Condition()
         self.reported = -math.inf
         self.commands_given = 0
         self.declare_choices()
+        self.create_timer(1.0, self.on_diagnostics)
         self.start()
-
-    def declare_choices(self) -> None:
-        """Declare the parameters that say what the controller is made of."""
-        default, offer = Choices(), partial(declare, self)
-        offer("controller", default.controller, "which one", list(CONTROLLERS))
-        offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
-        offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
-        offer = partial(declare, self, at_run_time=True)
-        offer("settings", default.settings, "shipped limits, or YAML file")
-        offer("gain_table", default.gain_table, "shipped gains, or YAML file")
-        offer("guard", default.guard, "shipped limits of the guard, or YAML file")
-        offer("static_path", self.lock_step, "the path is published once and does not grow old")
-        offer("qp_fault", False, "let every solution fail, to see what happens")
-
-    def choices(self, changed: dict[str, Any]) -> Choices:
-        """Give what the parameters choose, some of them changed."""
-        chosen = {name: self.get_parameter(name).value for name in Choices._fields[:-1]}
-        chosen |= {key: value for key, value in changed.items() if key in chosen}
-        if chosen["base_link_to_cg"] < 0:
-            chosen["base_link_to_cg"] = None
-        simulated = self.lock_step or bool(self.get_parameter("use_sim_time").value)
-        return Choices(**chosen, simulated_time=simulated)
 
     def set_up(self) -> None:
         """Load and compile everything; only then publish and subscribe."""
@@ -79,21 +48,7 @@ class ControllerNode(ManagedNode):
         self.while_configured.callback(self.outputs.destroy)
         self.publish_configuration()
         self.listen()
-
-    def load(self) -> None:
-        """Make a supervisor, or exchange what it is made of: the angle in force is kept."""
-        choices = self.choices({})
-        made, source = configuration(choices), gain_file(choices)
-        if hasattr(self, "supervisor"):
-            self.supervisor.reset()
-            self.supervisor.reconfigure(made, source)
-        else:
-            self.supervisor = Supervisor(made, source)
-        ladder = self.supervisor.ladder
-        warm_up(ladder.controller)
-        ladder.restart(self.supervisor.steering)
-        ladder.qp_fault = self.get_parameter("qp_fault").value
-        rehearse(made)
+        self.offer_changes()
 
     def listen(self) -> None:
         """Subscribe, and offer services."""
@@ -107,10 +62,8 @@ class ControllerNode(ManagedNode):
         leave = self.while_configured.callback
         for each in inputs:
             leave(self.destroy_subscription, self.create_subscription(*each))
-        for name, answer in (("reload", self.on_reload), ("reset_stop", self.on_reset_stop)):
-            leave(self.destroy_service, self.create_service(Trigger, f"~/{name}", answer))
-        self.add_on_set_parameters_callback(self.on_parameters)
-        leave(self.remove_on_set_parameters_callback, self.on_parameters)
+        reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
+        leave(self.destroy_service, reset_stop)
 
     def begin(self) -> None:
         """Begin to steer, from the angle in force; plans of an earlier time are forgotten."""
@@ -122,8 +75,6 @@ class ControllerNode(ManagedNode):
         if not self.lock_step:
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
             self.while_active.callback(self.destroy_timer, self.timer)
-        reporting = self.create_timer(1.0, self.on_diagnostics)
-        self.while_active.callback(self.destroy_timer, reporting)
         self.get_logger().info("ready")
 
     def finish(self) -> None:
@@ -220,58 +171,24 @@ class ControllerNode(ManagedNode):
     def tell(self, decision: Decision) -> None:
         """Ask for a stop where that is new, and report at once what has changed."""
         self.outputs.stop(self.supervisor.stop_requested)
-        told = decision.supervision
-        condition = told.rung, told.reason, told.clipped
-        if condition != self.condition and time.monotonic() - self.reported > REPORT_PAUSE:
-            self.condition = condition
+        before, now = self.condition, condition(self.supervisor, decision)
+        if now != before and time.monotonic() - self.reported > REPORT_PAUSE:
+            self.condition = now
+            if said := change(before, now):
+                self.get_logger().warning(said)
             self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
-        """Report health."""
+        """Report health, once a second and where it has changed."""
         self.reported = time.monotonic()
+        if not self.is_active:
+            state = self._state_machine.current_state[1]
+            self.report(self.now_ns, f"{state}: no commands are given", {}, WARN)
+            return
         level, sentence = health(self.supervisor, self.decision, self.now_ns)
         account = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
         values = account | numbers(self.supervisor, self.decision)
         self.report(self.now_ns, sentence, values, level)
-
-    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Use new values, all at once, or refuse them all; the steering goes on where it is."""
-        changed = {each.name: each.value for each in parameters}
-        try:
-            if set(changed) & set(RUN_TIME):
-                self.reconfigure(self.choices(changed))
-        except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        ladder = self.supervisor.ladder
-        ladder.qp_fault = changed.get("qp_fault", ladder.qp_fault)
-        return SetParametersResult(successful=True)
-
-    def reconfigure(self, choices: Choices) -> None:
-        """Go on with what was chosen; where that is wrong, with what there was."""
-        made, period = configuration(choices), self.supervisor.period
-        if made.settings.sample_time != period:
-            raise ValueError(
-                f"sample_time = {made.settings.sample_time:g} s must stay {period:g} s while the "
-                "controller is configured"
-            )
-        self.supervisor.reconfigure(made, gain_file(choices))
-        self.publish_configuration()
-
-    def publish_configuration(self) -> None:
-        """Say what the controller is made of now."""
-        self.outputs.configuration(self.supervisor)
-        self.get_logger().info(f"configuration {self.supervisor.number} in use")
-
-    def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Read gains, limits and guard from their files again; a bad one changes nothing."""
-        try:
-            self.reconfigure(self.choices({}))
-        except ValueError as error:
-            self.get_logger().error(f"not reloaded: {error}")
-            response.success, response.message = False, str(error)
-            return response
-        response.success, response.message = True, f"configuration {self.supervisor.number}"
-        return response
 
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take the request to stop back."""
