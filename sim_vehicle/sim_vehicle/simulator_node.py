@@ -221,7 +221,10 @@ class SimulatorNode(BaseNode):
             "speed": float(self.simulation.car.state[3]),
         }
         stamp_ns = self.stamp_ns if self.lock_step else self.now_ns
-        self.report(stamp_ns, "" if self.lock_step else self.missing(), values)
+        missing = "" if self.lock_step else self.missing()
+        if missing and not self.unanswered():
+            self.get_logger().warning(missing, throttle_duration_sec=5.0)
+        self.report(stamp_ns, missing, values)
 
     def missing(self) -> str:
         """Say, in real time, whose answers the car does without."""
