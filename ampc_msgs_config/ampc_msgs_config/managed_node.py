@@ -97,6 +97,7 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
     def _leave(self) -> None:
         try:
             self._deactivate()
+            self.deliver()
         finally:
             self.is_active = False
             self.while_active.close()

@@ -80,8 +80,8 @@ class ControllerNode(ConfiguredNode):
     def finish(self) -> None:
         """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
         if not self.lock_step:
-            self.outputs.hold()
             self.outputs.stop(True)
+            self.outputs.hold()
 
     def say_last(self) -> None:
         """Do the same at the end of the process."""
