@@ -55,7 +55,7 @@ class ConfiguredNode(ManagedNode):
         choices = self.choices({})
         made, source = configuration(choices), gain_file(choices)
         if hasattr(self, "supervisor"):
-            self.supervisor.reset()
+            self.forget_inputs()
             self.supervisor.reconfigure(made, source)
         else:
             self.supervisor = Supervisor(made, source)
@@ -64,6 +64,14 @@ class ConfiguredNode(ManagedNode):
         ladder.restart(self.supervisor.steering)
         ladder.qp_fault = self.get_parameter("qp_fault").value
         rehearse(made)
+
+    def forget_inputs(self) -> None:
+        """Wait for new inputs: those of an earlier configuration are of another drive."""
+        supervisor = self.supervisor
+        supervisor.filter.reset()
+        supervisor.state = supervisor.path = supervisor.points = None
+        supervisor.stop_requested = False
+        supervisor.restart()
 
     def offer_changes(self) -> None:
         """Take new parameters, and offer to read files anew, while configured."""

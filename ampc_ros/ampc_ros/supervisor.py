@@ -68,6 +68,7 @@ class Supervisor:
         self.points: Array | None = None
         self.measured = math.nan
         self.clips = dict.fromkeys(LIMITS[1:], 0)
+        """How often the guard clipped, under all configurations."""
         self._install(made, build_controller(made, source), 0.0)
 
     def reconfigure(self, made: Configuration, source: object = "gain table") -> None:
@@ -80,17 +81,18 @@ class Supervisor:
         controller = build_controller(made, source)
         if self.path:
             controller.check(self.path.value)
-        fault = self.ladder.qp_fault
+        before, fault = self.ladder.controller, self.ladder.qp_fault
         self._install(made, controller, self.steering)
+        if isinstance(controller, PreviewMpc) and isinstance(before, PreviewMpc):
+            controller.inherit(before)
         self.ladder.qp_fault = fault
 
     def _install(self, made: Configuration, controller: Controller, steering: float) -> None:
         self.made, self.number = made, self.number + 1
         self.guard = Guard(made.guard, made.chassis, controller.period)
-        self.guard.count = self.clips
-        self.guard.steering = steering  # from where it moves at a bounded rate, if it has to
+        self.guard.steering, self.guard.count = steering, self.clips
         self.ladder = Ladder(made, controller)
-        self.ladder.restart(self.steering)
+        self.ladder.restart(steering)
 
     @property
     def period(self) -> float:

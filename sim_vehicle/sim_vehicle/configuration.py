@@ -88,7 +88,11 @@ def simulation_of(text: str, where: str) -> Simulation:
     Raises:
         ValueError: Names place, key, value and bound.
     """
-    return from_yaml(text, where).simulation()
+    made = from_yaml(text, where)
+    try:
+        return made.simulation()
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
 
 
 def _vehicle(content: Mapping[str, Any], where: str) -> Vehicle:
