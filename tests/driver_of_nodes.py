@@ -26,14 +26,18 @@ OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
 class Driver(Node):
     """Manages a controller by its services, gives it a drive, and hears what it says."""
 
-    def __init__(self, executor: SingleThreadedExecutor, node: ControllerNode) -> None:
-        """Join the graph beside the controller."""
+    node: ControllerNode
+
+    def __init__(self, executor: SingleThreadedExecutor, *nodes: ControllerNode) -> None:
+        """Join the graph, together with the controller where it runs in this process."""
         super().__init__("driver")
-        self.executor_of_all, self.node = executor, node
+        self.executor_of_all = executor
+        for self.node in nodes:
+            add(executor, self.node)
         self.commands: list[JointState] = []
         self.stops: list[bool] = []
         self.made: list[str] = []
-        self.first_ns = node.now_ns
+        self.first_ns = self.now_ns
         self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.create_subscription(
@@ -44,7 +48,12 @@ class Driver(Node):
         self.paths.publish(ros.path_message(CIRCLE, self.first_ns))
         self.changing = self.create_client(ChangeState, "controller/change_state")
         self.asking = self.create_client(GetState, "controller/get_state")
-        add(executor, self, node)
+        add(executor, self)
+
+    @property
+    def now_ns(self) -> int:
+        """Time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
 
     def on_stop(self, message: Bool) -> None:
         """Note a request."""
@@ -72,9 +81,9 @@ class Driver(Node):
 
     def drive(self) -> VehicleState:
         """Publish a state on the circle, at 9 m/s, as old as the test."""
-        s = 9.0 * (self.node.now_ns - self.first_ns) / NANOSECONDS % 80.0
+        s = 9.0 * (self.now_ns - self.first_ns) / NANOSECONDS % 80.0
         x, y, yaw = 30.0 * np.sin(s / 30.0), 30.0 - 30.0 * np.cos(s / 30.0), s / 30.0
-        state = VehicleState(self.node.now_ns, float(x), float(y), float(yaw), 9.0, 0.0, 0.3)
+        state = VehicleState(self.now_ns, float(x), float(y), float(yaw), 9.0, 0.0, 0.3)
         self.odom.publish(ros.odometry_message(state))
         return state
 

@@ -100,7 +100,7 @@ class BaseNode(Node):
     def report(
         self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
     ) -> None:
-        """Publish the health since the last report: OK, or the worst trouble in words.
+        """Publish the health since the last report: OK, or the trouble in words, lasting first.
 
         Args:
             stamp_ns: Time of the report [ns].
@@ -111,12 +111,11 @@ class BaseNode(Node):
         if self.wait_for_recorder:
             lasting, level = "waiting for a recorder that listens to this node", WARN
         passing, self.trouble = self.trouble, ""
-        trouble, level = (
-            (lasting, level) if lasting and level > WARN else (passing or lasting, WARN)
-        )
+        trouble = "; ".join(filter(None, (lasting, passing)))
+        level = max(level if lasting else OK, WARN if passing else OK)
         values = {**values, "rejected_inputs": self.rejected}
         status = DiagnosticStatus(
-            level=bytes([level if trouble else OK]),
+            level=bytes([level]),
             name=self.get_fully_qualified_name(),
             message=trouble or "OK",
             values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
