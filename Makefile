@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
 
-.PHONY: help setup dev demo test uncompiled lint bench clean
+.PHONY: help setup dev demo test uncompiled lint mutation fuzz bench lock audit clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -34,9 +34,22 @@ lint: dev  ## set up, then check format, style and types
 	@$(VENV_PYTHON) -m ruff check .
 	@$(VENV_PYTHON) -m mypy
 
+mutation: dev  ## set up, then change guard and filter in every small way: a test has to notice
+	@$(VENV_PYTHON) -m pip install --quiet -r lock/requirements-mutation.txt
+	@$(VENV_PYTHON) launch_scripts/mutation.py
+
+fuzz: dev  ## set up, then throw a million hostile inputs at checks and guard (20 s)
+	@$(VENV_PYTHON) launch_scripts/fuzz.py
+
 bench:  ## set up, then measure against other solvers and tools (about 10 min), into runs/bench
 	@$(PYTHON) launch_scripts/bootstrap.py --bench
 	@$(VENV_PYTHON) launch_scripts/bench.py
+
+lock:  ## write lock/ after a change of requirements*.txt; UPGRADE=1 takes newest versions
+	@$(VENV_PYTHON) -m launch_scripts.lock $(if $(UPGRADE),--upgrade)
+
+audit: dev  ## ask the public database of vulnerabilities about every package in lock/
+	@$(VENV_PYTHON) -m launch_scripts.audit
 
 clean:  ## remove everything that make made; runs/ stays
 	rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis

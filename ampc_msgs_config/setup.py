@@ -21,5 +21,10 @@ setup(
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["recorder = ampc_msgs_config.recorder_node:main"]},
+    entry_points={
+        "console_scripts": [
+            "markers = ampc_msgs_config.marker_node:main",
+            "recorder = ampc_msgs_config.recorder_node:main",
+        ]
+    },
 )

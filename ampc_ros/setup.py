@@ -3,6 +3,7 @@
 from setuptools import setup
 
 PACKAGE = "ampc_ros"
+VIEWERS = ["viewers/ampc.rviz", "viewers/foxglove.json", "viewers/plotjuggler.xml"]
 
 setup(
     name=PACKAGE,
@@ -19,6 +20,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", ["launch/ampc.launch.py"]),
+        (f"share/{PACKAGE}/security", ["security/policy.xml"]),
+        (f"share/{PACKAGE}/viewers", VIEWERS),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

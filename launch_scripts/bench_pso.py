@@ -134,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen, console = options(arguments), Console(highlight=False)
     console.width = max(console.width, WIDTH)
     if "CMA-ES" not in METHODS:
-        console.print("note: CMA-ES is left out: pip install -r requirements-bench.txt")
+        console.print("note: CMA-ES is left out: pip install -r lock/requirements-bench.txt")
     with Progress(console=console) as progress:
         runs, ways = measure_all(chosen.seeds, chosen.workers, progress)
     grid(

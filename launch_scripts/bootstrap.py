@@ -25,6 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
+LOCKS = ROOT / "lock"
 LOG = ROOT / "log" / "bootstrap.log"
 PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
 SOURCES = (ROOT, *(ROOT / package for package in PACKAGES[:-1]))
@@ -74,7 +75,7 @@ def bootstrap(*, dev: bool, bench: bool = False) -> None:
         create_venv(with_ros)
         mark(VENV, {home})
     requirements = requirement_files(with_ros=with_ros, dev=dev, bench=bench)
-    wanted = {f"{file.name} {digest([file, ROOT / 'constraints.txt'])}" for file in requirements}
+    wanted = {f"{file.name} {digest([file])}" for file in requirements}
     installed = done(VENV / "lib")
     if not wanted <= installed:
         install(requirements)
@@ -113,14 +114,14 @@ def require_wheels(system: str, machine: str) -> None:
 
 
 def requirement_files(*, with_ros: bool, dev: bool, bench: bool) -> list[Path]:
-    """The requirement files for this kind of machine."""
+    """The locked requirement files for this kind of machine."""
     needed = {
         "requirements.txt": True,
         "requirements-ros.txt": not with_ros,
         "requirements-dev.txt": dev,
         "requirements-bench.txt": bench,
     }
-    return [ROOT / name for name in needed if needed[name]]
+    return [LOCKS / name for name in needed if needed[name]]
 
 
 def source_files(package: Path) -> list[Path]:
@@ -166,11 +167,11 @@ def create_venv(with_ros: bool) -> None:
 
 
 def install(requirements: Sequence[Path]) -> None:
-    """Installs requirement files with pip: wheels only, so that nothing has to be compiled."""
-    command = [str(PYTHON), "-m", "pip", "install", "--retries=2"]
+    """Installs locked files with pip: only what has the right hash, and wheels, not to compile."""
+    command = [str(PYTHON), "-m", "pip", "install", "--retries=2", "--require-hashes"]
     command += ["--disable-pip-version-check"]
     command += ["--only-binary=:all:", "--no-binary=empy"]  # EmPy is pure Python without a wheel
-    command += [argument for file in requirements for argument in ("-r", file.name)]
+    command += [argument for file in requirements for argument in ("-r", str(file))]
     output, failed = run("installing the requirements (about a minute)", command)
     if failed:
         raise SetupError(explain_pip(output, platform.python_version(), platform.machine()))
@@ -188,6 +189,8 @@ def explain_pip(output: str, version: str, machine: str) -> str:
         return "the package index cannot be reached: check network and proxy and run this again"
     if NO_COMPILER.search(output):
         return "pip has to compile a package, without a compiler: apt install build-essential"
+    if "DO NOT MATCH THE HASHES" in output:
+        return "a package that came is not the one that was locked (lock/): do not use that index"
     if "No space left on device" in output:
         return "the disk is full: .venv needs about 1 GB"
     if wheel := NO_WHEEL.search(output):

@@ -7,6 +7,7 @@ my_limits.yaml` for one's own. Ordinary driving must not be clipped by `road`, n
 import argparse
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path as File
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ CARS = ("paper", "ordinary")
 ORDINARY_DRIVES = ("sc1", "sc1_falcone", "iso3888_1", "iso3888_2", "circle", "sine", "straight")
 DRIVES_AT_THE_LIMIT = ("sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind")
 HEADINGS = ("drive", "car", "angle", "acceleration", "rate", "jerk", "clipped", "by")
-WIDTH = 110
+WIDTH = 120
 """Of the printed table, at least [characters]."""
 
 
@@ -68,7 +69,13 @@ def cells(trial: Trial, found: Margin) -> tuple[str, ...]:
     """Give a line of the table."""
     by = ", ".join(f"{name} {n}" for name, n in found.limits.items() if n)
     clipped = f"{found.clipped} of {found.commands}"
-    return (trial.scenario, trial.car, *(f"{share:.2f}" for share in found.shares), clipped, by)
+    return (
+        File(trial.scenario).stem,
+        trial.car,
+        *(f"{share:.2f}" for share in found.shares),
+        clipped,
+        by,
+    )
 
 
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:

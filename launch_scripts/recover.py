@@ -43,8 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def default_output(bag: Path) -> Path:
     """Gives the folder beside a bag, or beside the bag of a file, for what is recovered of it."""
     bag = bag.resolve()
+    name = bag.name.partition(".mcap")[0] if bag.is_file() else bag.name
     beside = bag.parent if (bag.parent / FILE_NAME).exists() else bag
-    return beside.with_name(f"{bag.name.partition('.')[0]}_recovered")
+    return beside.with_name(f"{name}_recovered")
 
 
 def recover(bag: Path, output: Path) -> list[str]:
@@ -68,7 +69,7 @@ def recover(bag: Path, output: Path) -> list[str]:
         if not said and is_complete(usable, found, old):
             shutil.rmtree(output)
             return [f"{bag}: complete already: {contents(found, topics)}"]
-        extents = {name(output, number): each.extent for number, each in enumerate(found)}
+        extents = {file_name(output, number): each.extent for number, each in enumerate(found)}
         kept = {key: old[key] for key in KEPT if key in old}
         write_metadata(output, extents, topics.values(), kept)
     except OSError:
@@ -96,14 +97,14 @@ def sort_out(candidates: Iterable[Path]) -> tuple[list[str], list[Path]]:
     return said, usable
 
 
-def name(output: Path, number: int) -> str:
+def file_name(output: Path, number: int) -> str:
     """Gives the name of a file of the new bag."""
     return f"{output.name}_{number}.mcap"
 
 
 def copy(file: Path, output: Path, number: int) -> Salvage:
     """Copies what is whole in one file."""
-    with plain(file) as source, (output / name(output, number)).open("xb") as target:
+    with plain(file) as source, (output / file_name(output, number)).open("xb") as target:
         return salvage(source, target)
 
 
@@ -153,7 +154,7 @@ def losses(file: Path, found: Salvage) -> list[str]:
         kept = f", of which {found.from_tail} messages are kept" if found.from_tail else ""
         said.append(f"{file}: the last {found.tail_bytes} bytes are a cut record{kept}")
     elif not found.reached_end:
-        said.append(f"{file}: ends without an end mark, after a whole record")
+        said.append(f"{file}: was not closed; no record is cut")
     elif not is_closed(file):
         said.append(f"{file}: only the index was missing")
     if found.damaged:

@@ -23,6 +23,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
+            "fuzz = launch_scripts.fuzz:main",
+            "guard_margins = launch_scripts.guard_margins:main",
             "start = launch_scripts.start:main",
             "acceptance = launch_scripts.acceptance:main",
             "compare = launch_scripts.compare:main",

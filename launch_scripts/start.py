@@ -37,6 +37,8 @@ START_TIME_OUT = 180.0
 """Wall time for the nodes to find each other, which includes compiling after an update [s]."""
 BEREAVEMENT = 1.5
 """Wall time in which the others show, in real time, what they do without a lost node [s]."""
+DISPENSABLE = {"markers"}
+"""Nodes without which a drive goes on."""
 WRONG_SET_UP = 2
 """Exit code of this script and of a node whose options are wrong."""
 
@@ -164,6 +166,8 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     nodes.start("planner", "ampc_ros.planner_node", common | route)
     nodes.start("controller", "ampc_ros.controller_node", common | control)
     nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+    look = {key: common[key] for key in ("lock_step", "vehicle")}
+    nodes.start("markers", "ampc_msgs_config.marker_node", look)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
@@ -203,6 +207,8 @@ def is_over(nodes: Processes) -> bool:
     if ended.get("simulator") == 0:
         return True
     for name, code in ended.items():
+        if name in DISPENSABLE:
+            continue
         if code < 0:
             raise Ending(f"{name} was killed by {signal.Signals(-code).name}", 1)
         raise Ending(f"{name} ended with exit code {code}: {nodes.last_words(name)}", code or 1)

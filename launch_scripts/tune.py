@@ -30,7 +30,7 @@ from launch_scripts.tuning_task import Job, Task, check, describe, jobs_of
 from launch_scripts.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
-ELSEWHERE = ("output", "resume", "workers", "processes", "scheduler")
+ELSEWHERE = ("output", "resume", "workers", "processes", "scheduler", "trust_scheduler")
 """Options that do not decide about the outcome."""
 
 
@@ -53,7 +53,9 @@ def parser() -> argparse.ArgumentParser:
     new.add_argument("--resume", action="store_true", help="go on after an interruption")
     new.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="threads")
     new.add_argument("--processes", action="store_true", help="use processes, not threads")
-    new.add_argument("--scheduler", default="", help="of a Dask cluster, tcp://host:port")
+    new.add_argument("--scheduler", default="", help="of a Dask cluster, tls://host:port or tcp://")
+    text = "take pickles from the scheduler: whoever reaches it runs code here"
+    new.add_argument("--trust-scheduler", action="store_true", help=text)
     return new
 
 
@@ -154,7 +156,8 @@ def run(chosen: argparse.Namespace, console: Console) -> None:
     output = chosen.output or Path("runs/tune") / name
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     begin = checkpoints.resume if chosen.resume else checkpoints.begin
-    with open_workers(chosen.workers, chosen.processes, chosen.scheduler) as workers:
+    hired = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
+    with open_workers(*hired) as workers:
         begin(describe(task))
         report = tune(task, workers, checkpoints, console)
     console.print(lines_of(report))

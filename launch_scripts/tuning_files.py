@@ -6,9 +6,12 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ampc_msgs_config.config import read_text
 from ampc_ros.swarm import Swarm, from_json, to_json
 
 TASK = "task.json"
+MAX_BYTES = 1_000_000_000
+"""Of a checkpoint."""
 
 
 def write_whole(file: Path, text: str) -> None:
@@ -98,11 +101,11 @@ class Checkpoints:
 
     def _read(self, name: str) -> dict[str, Any] | None:
         file = self.folder / name
-        try:
-            content = json.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not file.exists():
             return None
-        except (OSError, ValueError) as error:
+        try:
+            content = json.loads(read_text(file, MAX_BYTES))
+        except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"{file}: cannot be read: {error}") from error
         if not isinstance(content, dict):
             raise ValueError(f"{file}: must hold a mapping, not {type(content).__name__}")

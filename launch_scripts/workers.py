@@ -17,6 +17,10 @@ from ampc_msgs_config.compiled import source_hash
 
 PATIENCE = 10
 """How long a scheduler may take to answer [s]."""
+NO_TRUST = (
+    "Dask sends pickles, which run whatever code they hold: only with --trust-scheduler, and best "
+    "with a tls:// address"
+)
 RETRIES = 3
 """Of a task whose worker died."""
 
@@ -32,18 +36,23 @@ class Workers(NamedTuple):
 
 
 @contextmanager
-def open_workers(count: int, processes: bool = False, scheduler: str = "") -> Iterator[Workers]:
+def open_workers(
+    count: int, processes: bool = False, scheduler: str = "", trusted: bool = False
+) -> Iterator[Workers]:
     """Give workers, and let them go in the end.
 
     Args:
         count: Threads or processes.
         processes: Whether they are processes; the compiled call does not need them.
         scheduler: Address of a Dask scheduler, to use its workers instead.
+        trusted: Whether to take pickles from it, which may hold any code.
 
     Raises:
-        ValueError: No scheduler there, or it has no workers, or they run other code.
+        ValueError: No trust, or no scheduler there, or it has no workers, or they run other code.
     """
     if scheduler:
+        if not trusted:
+            raise ValueError(f"--scheduler {scheduler}: {NO_TRUST}")
         with _cluster(scheduler) as workers:
             yield workers
     elif processes:
@@ -59,7 +68,9 @@ def _cluster(address: str) -> Iterator[Workers]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise ValueError("--scheduler needs Dask: pip install -r requirements-dask.txt") from error
+        raise ValueError(
+            "--scheduler needs Dask: pip install -r lock/requirements-dask.txt"
+        ) from error
     connect: Any = Client  # it has no types
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:

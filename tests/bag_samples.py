@@ -1,9 +1,11 @@
 """Messages for every topic of the contract, and bags of them."""
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import recording, ros
 from ampc_msgs_config.bag import Entry
 from ampc_msgs_config.message_types import message_class, type_name_of
 from ampc_msgs_config.recorder_node import CONTRACT, LATCHED
@@ -74,16 +76,16 @@ def sample(name: str, stamp_ns: int) -> Any:
 def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
     """Writes samples of all topics, a chunk a tick; gives them and their bytes."""
     entries, data = [], []
-    with Recording(folder) as recording:
+    with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
             qos = ros.LATCHED if name in LATCHED else ros.RELIABLE
-            recording.add_topic(full(name), type_name_of(message_type), [qos])
+            bag.add_topic(full(name), type_name_of(message_type), [qos])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:
                 entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns), stamp_ns))
                 data.append(serialize_message(entries[-1].message))
-                recording.write(full(name), data[-1], stamp_ns, stamp_ns)
-            recording.flush()
+                bag.write(full(name), data[-1], stamp_ns, stamp_ns)
+            bag.flush()
     return entries, data
 
 

@@ -128,6 +128,18 @@ TEXTS: dict[str, str | bytes] = {
     "not YAML: .*recursion": "[" * 5000,
     "not YAML: .*could not determine a constructor": "a: !!python/object/apply:os.getcwd []",
     r"\d+ bytes are more than": b" " * (MAX_BYTES + 1),
+    "not YAML: more than 5000000 values, with aliases replaced": "\n".join(
+        [
+            "a0: &a0 [1, 2]",
+            *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 40)),
+        ]
+    ),
+    "not YAML: more than 5000000 values": "\n".join(
+        ["a0: &a0 {b: 1}", *(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}" for i in range(1, 40))]
+    ),
+    "not YAML: an alias names what it is part of": "part: &a {length: *a}",
+    "not YAML: month must be in": "part: 2026-99-01",
+    "not YAML: Exceeds the limit": f"part: {'9' * 5000}",
     "missing section 'part'": "other: {length: 1.0}",
     "part: missing key 'length'": "part: {}",
 }
@@ -140,6 +152,17 @@ def test_bad_file_is_refused_in_one_line_with_its_name(complaint: str, tmp_path:
     with pytest.raises(ValueError, match=f"sample.yaml: {complaint}") as error:
         load(Sample, file, "part")
     assert "\n" not in str(error.value)
+
+
+def test_a_device_that_never_ends_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"/dev/zero: cannot be read: no regular file"):
+        read(Path("/dev/zero"))
+
+
+def test_aliases_within_reason_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "sample.yaml"
+    file.write_text("base: &base {length: 1.0}\npart: {<<: *base, kind: square}", encoding="utf-8")
+    assert load(Sample, file, "part") == Sample(length=1.0, kind="square")
 
 
 def test_missing_file_is_refused_by_name(tmp_path: Path) -> None:

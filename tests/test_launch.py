@@ -8,6 +8,7 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from ampc_msgs_config.marker_node import MarkerNode
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
@@ -17,6 +18,7 @@ from tests.ros_nodes import add, ros_context
 FILE = Path(__file__).resolve().parents[1] / "ampc_ros" / "launch" / "ampc.launch.py"
 NODES: dict[str, Any] = {
     "controller": ControllerNode,
+    "markers": MarkerNode,
     "planner": PlannerNode,
     "simulator": SimulatorNode,
 }
@@ -75,3 +77,16 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
 
 def test_the_launch_file_knows_every_controller(launch_file: Any) -> None:
     assert launch_file.CHOICES["controller"] == list(CONTROLLERS)
+
+
+def test_the_end_of_every_node_but_the_markers_ends_the_others(launch_file: Any) -> None:
+    order = [call.kwargs["executable"] for call in launch_file.Node.call_args_list]
+    assert order[-1] == "markers"
+    assert launch_file.OnProcessExit.call_count == len(order) - 1
+
+
+def test_topics_stay_on_this_machine_unless_the_shell_says_otherwise(launch_file: Any) -> None:
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    launch_file.EnvironmentVariable.assert_called_once_with(name, default_value="LOCALHOST")
+    value = launch_file.EnvironmentVariable.return_value
+    launch_file.SetEnvironmentVariable.assert_called_once_with(name, value)

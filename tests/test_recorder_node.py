@@ -131,7 +131,7 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         publish_fast(publishers)
         code, said = stop(recorder, number)
-    found = contents(read(tmp_path / "bag"))
+    found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in TRANSFORMS]
     assert read_with_rosbags(tmp_path / "bag") == found
     latched = {full(name): name for name in LATCHED & CONTRACT.keys()}
     for topic, name in latched.items():  # when they come, the middleware decides

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import Odometry
@@ -113,6 +114,25 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
         last_ns = found[-1].log_time_ns if found else int(started[bag] * NANOSECONDS)
         assert killed_ns - last_ns < NANOSECONDS
         assert not is_complete(bag)
+
+
+def test_a_full_disk_ends_a_recording_in_one_line_and_what_was_written_stays(
+    tmp_path: Path,
+) -> None:
+    limited = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))\n"
+    script = limited + WRITER.replace("time.sleep(0.001)", "recording.flush()")
+    writer = subprocess.run(
+        [sys.executable, "-c", script, tmp_path], capture_output=True, text=True, timeout=60
+    )
+    assert writer.returncode == 1
+    complaint = f"ValueError: {tmp_path}: recording ends: File too large; what was written before"
+    assert writer.stderr.splitlines()[-1].startswith(complaint)
+    numbers = [entry.message.data for entry in read(tmp_path)]
+    assert numbers == list(range(len(numbers)))
+    metadata = yaml.safe_load((tmp_path / "metadata.yaml").read_text())
+    said = metadata["rosbag2_bagfile_information"]["message_count"]
+    assert len(numbers) - 1 <= said <= len(numbers)
+    assert sorted(file.suffix for file in tmp_path.iterdir()) == [".mcap", ".yaml"]
 
 
 def test_a_truncated_file_gives_all_of_its_complete_chunks(tmp_path: Path) -> None:

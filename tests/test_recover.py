@@ -1,5 +1,7 @@
 """What is left of a bag becomes a complete one, and nothing that is whole is left behind."""
 
+import io
+import random
 import re
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 
 from ampc_msgs_config.bag import is_complete, read
+from ampc_msgs_config.salvage import salvage
 from launch_scripts.recover import main
 from tests.bag_samples import contents, read_with_rosbags, write_bag
 from tests.foreign_bags import Sent, write_file
@@ -106,21 +109,38 @@ def test_every_cut_of_an_unchunked_file_gives_the_messages_before_it(tmp_path: P
     assert before == 5
 
 
+@pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_damaged_chunk_is_left_out_and_the_others_are_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], number: int
 ) -> None:
     entries, _ = write_bag(tmp_path / "bag", ticks=3)
     file = tmp_path / "bag" / "bag_0.mcap"
     _, summary = opened(file)
     content = bytearray(file.read_bytes())
-    damaged = summary.chunk_indexes[1]
+    damaged = summary.chunk_indexes[number]
     content[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 1
     file.write_bytes(content)
     assert main([str(tmp_path / "bag")]) == 0
-    kept = [entry for entry in entries if entry.log_time_ns != 2 * entries[0].log_time_ns]
+    lost_ns = (number + 1) * entries[0].log_time_ns
+    kept = [entry for entry in entries if entry.log_time_ns != lost_ns]
     assert list(read(tmp_path / "bag_recovered")) == kept
     size = damaged.chunk_length
     assert f"1 damaged chunks or records, {size} bytes, are left out" in capsys.readouterr().out
+
+
+def test_whatever_is_damaged_the_result_is_a_complete_file(tmp_path: Path) -> None:
+    chance = random.Random(1)
+    write_file(tmp_path / "bag.mcap", DRIVE[:60], chunk_size=4000, enable_crcs=True)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    for _ in range(100):
+        content = bytearray(whole[: chance.randrange(9, 2 * len(whole))])
+        for place in chance.sample(range(8, len(content)), k=min(3, len(content) - 8)):
+            content[place] = chance.randrange(256)
+        target = io.BytesIO()
+        found = salvage(io.BytesIO(content), target)
+        target.seek(0)
+        messages = list(make_reader(target, validate_crcs=True).iter_messages())
+        assert len(messages) == found.extent.count
 
 
 def test_schemas_offers_attachments_and_metadata_stay(tmp_path: Path) -> None:

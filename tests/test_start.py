@@ -34,7 +34,9 @@ MODULES = {
     "planner": "ampc_ros.planner_node",
     "controller": "ampc_ros.controller_node",
     "simulator": "sim_vehicle.simulator_node",
+    "markers": "ampc_msgs_config.marker_node",
 }
+NEEDED = [name for name in MODULES if name != "markers"]
 
 
 class Started(NamedTuple):
@@ -155,7 +157,7 @@ MISSED = {
 """What the others say when a node is lost."""
 
 
-@pytest.mark.parametrize("node", MODULES)
+@pytest.mark.parametrize("node", NEEDED)
 def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     node: str, tmp_path: Path
 ) -> None:
@@ -176,6 +178,18 @@ def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
         recovered = read_drive(started.folder / "bag_recovered").drive
         assert recovered.states == read_drive(started.folder / "bag").drive.states
     assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
+
+
+def test_the_drive_goes_on_when_only_the_markers_are_killed(tmp_path: Path) -> None:
+    started = start_and_drive(tmp_path / "run")
+    os.kill(pid_of("markers", started), signal.SIGKILL)
+    time.sleep(1.5)
+    assert started.process.poll() is None
+    started.process.send_signal(signal.SIGINT)
+    said, _ = started.process.communicate(timeout=30)
+    assert started.process.returncode == 130
+    assert "killed" not in said
+    assert is_complete(started.folder / "bag")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -125,7 +125,8 @@ WRONG = {
     "--workers 0": "--workers 0: must be at least 1",
     "--vehicle nowhere.yaml": "'nowhere.yaml' is neither a file nor one of the shipped vehicles",
     "--resume --output nowhere/a.yaml": "nowhere/a.checkpoint: nothing to resume there",
-    "--scheduler tcp://127.0.0.1:9": "--scheduler tcp://127.0.0.1:9: no scheduler answers there",
+    "--scheduler tcp://127.0.0.1:9": "Dask sends pickles, which run whatever code they hold",
+    "--scheduler tcp://127.0.0.1:9 --trust-scheduler": "127.0.0.1:9: no scheduler answers there",
 }
 
 
@@ -181,7 +182,12 @@ def test_a_checkpoint_of_another_task_is_refused_with_the_field_that_differs(
 def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
     kept.begin({"a": 1})
-    for text, cause in (("{", "cannot be read"), ("[]", "must hold"), ("{}", "no checkpoint")):
+    for text, cause in (
+        ("{", "cannot be read"),
+        ("[" * 10**6, "cannot be read"),
+        ("[]", "must hold"),
+        ("{}", "no checkpoint"),
+    ):
         (kept.folder / "x.json").write_text(text)
         with pytest.raises(ValueError, match=f"x.json: {cause}"):
             kept.load("x")

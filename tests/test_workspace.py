@@ -29,6 +29,11 @@ ERROR: No matching distribution found for ros-jazzy-rclpy[fastrtps]==7.1.6
 error: command 'gcc' failed: No such file or directory
 ERROR: Failed building wheel for contourpy
 """,
+    "not the one that was locked": """
+ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE. If you have updated the
+package versions, please update the hashes. Otherwise, examine the package contents carefully
+    mdurl==0.1.2 from file:///wheels/mdurl-0.1.2-py3-none-any.whl (from -r a.txt (line 5))
+""",
     "the disk is full": """
 ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device
 """,

@@ -12,8 +12,10 @@ from mcap.records import Channel, Schema
 from rclpy.serialization import deserialize_message
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.chunks import ordered
+from ampc_msgs_config.mcap_records import MAGIC
 from ampc_msgs_config.message_types import message_class
-from ampc_msgs_config.salvage import MAGIC, salvage
+from ampc_msgs_config.salvage import salvage
 
 SQLITE = b"SQLite format 3\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -158,18 +160,17 @@ def read_file(file: Path, topics: Collection[str]) -> Iterator[Entry]:
 
 def decoded(stream: IO[bytes], topics: Collection[str]) -> Iterator[Entry]:
     """Decode the messages of wanted topics whose type is installed."""
-    reader = make_reader(stream, validate_crcs=True)
-    profile = reader.get_header().profile
+    profile = make_reader(stream).get_header().profile
     if profile not in PROFILES:
         raise ValueError(f"its profile is {profile!r}, not 'ros2'")
+    stream.seek(0)
     decoders: dict[int, Decoder | None] = {}
-    for schema, channel, message in reader.iter_messages(topics or None):
+    for schema, channel, log_time_ns, publish_time_ns, data in ordered(stream, topics):
         if channel.id not in decoders:
             decoders[channel.id] = decoder(channel, schema, wanted=bool(topics))
         decode = decoders[channel.id]
         if decode:
-            ros_message = decode(message.data)
-            yield Entry(channel.topic, message.log_time, ros_message, message.publish_time)
+            yield Entry(channel.topic, log_time_ns, decode(data), publish_time_ns)
 
 
 class WrongType(ValueError):

@@ -28,7 +28,6 @@ from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import VehicleState
 
-PARAMETER_EVENTS = "/parameter_events"
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -72,7 +71,7 @@ class BaseNode(Node):
         """Give the topics of this node for which it still waits for a recorder."""
         if not self.wait_for_recorder:
             return []
-        topics = {each.topic_name for each in self.publishers} - {PARAMETER_EVENTS}
+        topics = {each.topic_name for each in self.publishers} - {ros.PARAMETER_EVENTS}
         missing = [topic for topic in sorted(topics) if not self._hears(topic)]
         self.wait_for_recorder, self.is_recorded = bool(missing), not missing
         return missing

@@ -11,7 +11,10 @@ import yaml
 from ampc_msgs_config.parameters import Checked
 
 T = TypeVar("T", bound=Checked)
-MAX_BYTES = 16_000_000
+MAX_BYTES = 5_000_000
+"""Of a YAML file."""
+MAX_NODES = 5_000_000
+"""Values of a YAML file, where each alias counts as all that it stands for."""
 
 
 def shipped(folder: str) -> dict[str, Path]:
@@ -36,29 +39,70 @@ def find(folder: str, name: str) -> Path:
 
 
 def read(file: Path) -> dict[str, Any]:
-    """Read a YAML mapping safely."""
-    try:
-        if file.stat().st_size > MAX_BYTES:
-            raise ValueError(f"{file}: {file.stat().st_size} bytes are more than {MAX_BYTES}")
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file}: cannot be read: {error}") from error
-    return parsed(text, str(file))
+    """Read a YAML mapping safely.
+
+    Raises:
+        ValueError: It cannot be read, is too large, also with its aliases replaced, or no mapping.
+    """
+    return parsed(read_text(file), str(file))
 
 
 def parsed(text: str, where: str) -> dict[str, Any]:
     """Parse a YAML mapping safely.
 
     Raises:
-        ValueError: The text is no YAML, or no mapping; `where` it comes from is named.
+        ValueError: The text is no YAML, too large, also with its aliases replaced, or no mapping;
+            `where` it comes from is named.
     """
     try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
+        loader = yaml.SafeLoader(text)  # libyaml's own crashes on deep nesting
+        node: Any = loader.get_single_node()
+        count_nodes(node, {})
+        content = loader.construct_document(node) if node else None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ValueError(f"{where}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{where}: must hold a mapping of keys, not {type(content).__name__}")
     return content
+
+
+def read_text(file: Path, most: int = MAX_BYTES) -> str:
+    """Read a text file of at most so many bytes.
+
+    Raises:
+        ValueError: It cannot be read, is no regular file, or is larger.
+    """
+    try:
+        if file.exists() and not file.is_file():
+            raise ValueError(f"{file}: cannot be read: no regular file")
+        if file.stat().st_size > most:
+            raise ValueError(f"{file}: {file.stat().st_size} bytes are more than {most}")
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file}: cannot be read: {error}") from error
+
+
+def count_nodes(node: Any, known: dict[int, int]) -> int:
+    """Count what a YAML node stands for, with every alias replaced by what it names.
+
+    Args:
+        node: Composed node, or a part of one, or None.
+        known: Counts of nodes that were seen, by id; 0 while they are counted.
+
+    Raises:
+        ValueError: There are more than MAX_NODES, or a node holds itself.
+    """
+    if id(node) in known:
+        if not known[id(node)]:
+            raise ValueError("an alias names what it is part of")
+        return known[id(node)]
+    known[id(node)] = 0
+    inner = node.value if isinstance(node, yaml.CollectionNode) else []
+    parts = (part for each in inner for part in (each if isinstance(each, tuple) else (each,)))
+    known[id(node)] = total = 1 + sum(count_nodes(part, known) for part in parts)
+    if total > MAX_NODES:
+        raise ValueError(f"more than {MAX_NODES} values, with aliases replaced")
+    return total
 
 
 def build(cls: type[T], content: Any, where: str) -> T:

@@ -7,10 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.config import read_text
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, SpeedProfile, checked_profile, load_scenario
+
+MAX_BYTES, MAX_POINTS = 50_000_000, 500_000
+"""Of a CSV file."""
 
 
 class Route(NamedTuple):
@@ -153,9 +157,11 @@ HEADERS = {"x_m": "x", "y_m": "y", "x_east_m": "x", "y_north_m": "y", "v_mps": "
 
 def _columns(file: File) -> dict[str, Array]:
     try:
-        rows = list(csv.reader(file.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(read_text(file, MAX_BYTES).splitlines()))
+    except csv.Error as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
+    if len(rows) - 1 > MAX_POINTS:
+        raise ValueError(f"{file}: {len(rows) - 1} points are more than {MAX_POINTS}")
     names = [name.strip(" #") for name in rows[0]] if rows else []
     found = {HEADERS[name]: i for i, name in enumerate(names) if name in HEADERS}
     if not {"x", "y"} <= set(found):

@@ -37,7 +37,10 @@ HOLD = 0.2
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
 
-CONTRACT: dict[str, Any] = {name: message_class(type_) for name, type_ in ros.TYPES.items()}
+CONTRACT: dict[str, Any] = {
+    name: message_class(type_) for name, type_ in ros.TYPES.items() if name != ros.MARKERS
+}
+"""Markers show again what the others say, and would be three quarters of a bag."""
 LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, ros.TF_STATIC, *ros.CONFIGURATIONS}
 DESCRIBING = (*ros.QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
 """What the controller publishes about its last command."""
@@ -152,7 +155,7 @@ class Recorder(Node):
         for arrival, log_time_ns in dated:
             if self.arrivals.drafted:
                 self.arrivals.drafted = 0
-                self.recording.begin()
+                self.recording.begin_anew()
             self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:

@@ -47,15 +47,21 @@ class Recording:
         self.begin()
         self.flush()
 
+    def begin_anew(self) -> None:
+        """Forget what was written; in the folder it stays until `flush` replaces it at once."""
+        with self.on_disk():
+            self.stream.close()
+        self.begin()
+
     def begin(self) -> None:
-        """Begin, or begin anew: what was written before stays until `flush` replaces it."""
+        """Begin a file beside the one in the folder, which `flush` replaces."""
         self.topics: dict[str, Topic] = {}
         self.channels: dict[str, int] = {}
         self.schemas: dict[str, int] = {}
         self.extent = Extent()
         self.flushed = time.monotonic()
+        self.stream = self.draft.open("wb")
         with self.on_disk():
-            self.stream = self.draft.open("wb")
             self.writer: Any = Writer(self.stream)
             self.writer.start(profile="ros2", library="ampc_msgs_config")
 

@@ -8,43 +8,21 @@ file ends inside it, the messages before its end are taken, compressed or not.
 import io
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
-import lz4.frame
 import yaml
-import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from ampc_msgs_config.bag_metadata import Extent, Topic
-
-MAGIC = b"\x89MCAP0\r\n"
-HEAD = struct.Struct("<BQ")
-"""Of a record: its kind, and the length of what follows [bytes]."""
-MESSAGE = struct.Struct("<HIQQ")
-"""Of a message: channel, sequence number, log time and publish time [ns]."""
-LARGEST = 2**32
-"""No record is longer: a length beyond it is damage [bytes]."""
-DAMAGE = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, EOFError)
-"""What the libraries raise on bytes that are not what they should be."""
-
-
-class Record(NamedTuple):
-    """One record, not yet understood."""
-
-    kind: int
-    content: bytes
-    size: int
-    """Of the record in the file [bytes]."""
-    is_whole: bool
-    """Whether the file goes on to its end."""
+from ampc_msgs_config.mcap_records import DAMAGE, MAGIC, MESSAGE, Record, decompressed, records
 
 
 @dataclass
@@ -72,16 +50,6 @@ class Salvage:
         return self.reached_end and not self.damaged
 
 
-def records(stream: IO[bytes]) -> Iterator[Record]:
-    """Give the records from here on; the last one may be cut, or be no record at all."""
-    while head := stream.read(HEAD.size):
-        kind, length = HEAD.unpack(head.ljust(HEAD.size, b"\0"))
-        is_record = len(head) == HEAD.size and kind and length <= LARGEST
-        content = stream.read(length if is_record else -1)
-        is_whole = bool(is_record) and len(content) == length
-        yield Record(kind, content, len(head) + len(content), is_whole)
-
-
 def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> Salvage:
     """Copy what is whole.
 
@@ -95,7 +63,8 @@ def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> S
     """
     if source.read(len(MAGIC)) != MAGIC:
         raise ValueError("the file does not begin as MCAP files do")
-    copy = Copy(target, CompressionType.ZSTD if compress else CompressionType.NONE)
+    index = read_index(source)
+    copy = Copy(target, CompressionType.ZSTD if compress else CompressionType.NONE, index)
     for record in records(source):
         if record.kind == Opcode.DATA_END and record.is_whole:
             copy.found.reached_end = True
@@ -105,12 +74,30 @@ def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> S
     return copy.found
 
 
+def read_index(source: IO[bytes]) -> Summary:
+    """Give the index at the end of a file, an empty one where it is missing or damaged."""
+    start = source.tell()
+    try:
+        source.seek(0)
+        return make_reader(source).get_summary() or Summary()
+    except (*DAMAGE, OSError):
+        return Summary()
+    finally:
+        source.seek(start)
+
+
 class Copy:
     """A complete MCAP file that grows record by record."""
 
-    def __init__(self, target: IO[bytes], compression: CompressionType) -> None:
-        """Begin with nothing."""
-        self.found = Salvage()
+    def __init__(self, target: IO[bytes], compression: CompressionType, index: Summary) -> None:
+        """Begin with nothing.
+
+        Args:
+            target: The new file.
+            compression: Of its chunks.
+            index: Of the old file, for what a damaged chunk said about messages behind it.
+        """
+        self.found, self.index = Salvage(), index
         self.writer: Any = Writer(target, compression=compression)
         self.started = False
         self.schemas: dict[int, tuple[int, str]] = {}
@@ -146,6 +133,8 @@ class Copy:
 
     def take_inner(self, record: Record) -> None:
         """Copy a whole record that holds no others."""
+        if record.kind != Opcode.HEADER:
+            self.start("ros2", "")
         if record.kind == Opcode.MESSAGE:
             self.take_message(record.content)
             return
@@ -168,12 +157,25 @@ class Copy:
         """Copy a message."""
         channel_id, number, log_time_ns, publish_time_ns = MESSAGE.unpack_from(content)
         if channel_id not in self.channels:
-            raise ValueError("a message of an unknown channel")
+            self.take_from_index(channel_id)
         channel, topic = self.channels[channel_id]
         data = content[MESSAGE.size :]
         self.writer.add_message(channel, log_time_ns, data, publish_time_ns, number)
         self.found.extent.add(log_time_ns)
         topic.extent.add(log_time_ns)
+
+    def take_from_index(self, channel_id: int) -> None:
+        """Copy a channel that a damaged chunk has announced, from the index.
+
+        Raises:
+            ValueError: The index does not know it either.
+        """
+        if channel_id not in self.index.channels:
+            raise ValueError("a message of an unknown channel")
+        channel = self.index.channels[channel_id]
+        if channel.schema_id in self.index.schemas:
+            self.take_schema(self.index.schemas[channel.schema_id])
+        self.take_channel(channel)
 
     def take_schema(self, schema: Schema) -> None:
         """Copy a schema, once."""
@@ -204,26 +206,15 @@ class Copy:
         self.found.attachments += 1
 
     def start(self, profile: str, library: str) -> None:
-        """Write the head."""
-        self.writer.start(profile, library)
+        """Write the head, once; where that of the source is lost, one of ROS 2."""
+        if not self.started:
+            self.writer.start(profile, library)
         self.started = True
 
     def finish(self) -> None:
         """Write the index."""
-        if not self.started:
-            self.start("ros2", "")
+        self.start("ros2", "")
         self.writer.finish()
-
-
-def decompressed(chunk: Chunk) -> bytes:
-    """Give the content of a chunk, of one that is cut, what of it can be decompressed."""
-    if chunk.compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-    if chunk.compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
-    if chunk.compression:
-        raise ValueError(f"its chunks are compressed with {chunk.compression!r}")
-    return chunk.data
 
 
 def offered_qos(text: str) -> list[dict[str, Any]]:

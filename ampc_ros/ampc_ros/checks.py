@@ -1,14 +1,25 @@
 """Which measured states and which paths are used. No clock is read here: all times come in."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ampc_msgs_config.path import Path
+from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.path import Array, Path
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.track import CAUSES, FUTURE, WINDOW, Refusal, Track, seconds_between, unusable
+from ampc_ros.track import (
+    CAUSES,
+    FUTURE,
+    WINDOW,
+    Refusal,
+    Track,
+    seconds,
+    seconds_between,
+    unusable,
+)
 
 CONFIRMED = 3
 """States in a row that confirm a clock that jumped back."""
@@ -74,7 +85,7 @@ class StateFilter:
         if self.track is None:
             self.track, self.now_ns = Track(state), now_ns
             return Verdict(True)
-        refusal = self.track.objection(state)
+        refusal = self.track.objection(state, silent=self._silent_before(state))
         if refusal is None:
             self.track.append(state)
             self.candidate, self.now_ns = None, now_ns
@@ -103,9 +114,15 @@ class StateFilter:
         lasted = seconds_between(candidate.first_ns, candidate.last.stamp_ns) >= WINDOW
         return lasted or (back and candidate.count >= CONFIRMED)
 
+    def _silent_before(self, state: VehicleState) -> bool:
+        """Tell whether nothing has come for longer than WINDOW, neither accepted nor refused."""
+        tracks = (self.track, self.candidate)
+        return all(seconds(track.last, state) > WINDOW for track in tracks if track)
+
     def _continued(self, state: VehicleState) -> Track:
         """Add a state to the candidate where it follows; where it contradicts, begin another."""
-        objection = self.candidate.objection(state) if self.candidate else None
+        silent = self._silent_before(state)
+        objection = self.candidate.objection(state, silent=silent) if self.candidate else None
         if self.candidate is None or (objection and objection.cause not in LATE):
             self.candidate = Track(state)
         elif objection is None:
@@ -113,30 +130,54 @@ class StateFilter:
         return self.candidate
 
 
-def check_path(points: ArrayLike, sharpest: float, max_gap: float = MAX_GAP) -> Path:
+def check_path(
+    points: ArrayLike, chassis: ChassisParameters, max_angle: float, max_gap: float = MAX_GAP
+) -> Path:
     """Give the path through points, if this car can drive it.
 
     Args:
         points: (n, 2) positions in driving order [m].
-        sharpest: Largest curvature that the car can drive, tan(max_angle) / wheelbase [1/m].
+        chassis: The car.
+        max_angle: To which it can steer [rad].
         max_gap: Longest distance between points, where there are more than two [m].
 
     Raises:
         ValueError: What `make_path` refuses, a gap, or a bend; with place, value and bound.
+
+    Note:
+        Curvature counts as its mean over a wheelbase: points that jitter by 5 cm, as a planner may
+        give them, make curvatures of 0.5 1/m of which the car feels a quarter.
     """
+    check_gaps(np.asarray(points, dtype=float), max_gap)
     path = make_path(points)
-    gaps = np.hypot(*np.diff(np.asarray(points, dtype=float), axis=0).T)
+    most = math.tan(max_angle) / chassis.wheelbase
+    bend = mean_curvature(path, chassis.wheelbase)
+    sharpest = int(np.argmax(np.abs(bend)))
+    if abs(bend[sharpest]) > most:
+        raise ValueError(
+            f"path: curvature after {sharpest * path.spacing:.4g} m = {bend[sharpest]:.3g} 1/m "
+            f"must lie in [{-most:.3g}, {most:.3g}] 1/m, what the car can steer"
+        )
+    return path
+
+
+def check_gaps(points: Array, max_gap: float) -> None:
+    """Raise a ValueError at the widest gap; what is no list of points is left to `make_path`."""
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        return
+    gaps = np.nan_to_num(np.hypot(*np.diff(points, axis=0).T), nan=0.0, posinf=0.0)
     widest = int(np.argmax(gaps))
-    if len(gaps) > 1 and gaps[widest] > max_gap:
+    if gaps[widest] > max_gap:
         raise ValueError(
             f"path: gap between points {widest} and {widest + 1} = {gaps[widest]:g} m "
             f"must be at most {max_gap:g} m"
         )
-    bend = np.abs(path.curvature[:-1] if path.closed else path.curvature)
-    worst = int(np.argmax(bend))
-    if np.count_nonzero(bend > sharpest) > 1:
-        raise ValueError(
-            f"path: curvature = {path.curvature[worst]:.3g} 1/m at {worst * path.spacing:.4g} m "
-            f"must lie in [{-sharpest:.3g}, {sharpest:.3g}] 1/m, what the car can steer"
-        )
-    return path
+
+
+def mean_curvature(path: Path, length: float) -> Array:
+    """Give the mean curvature over a length [m] from each sample on, round a closed path too."""
+    heading = path.heading
+    n = min(max(round(length / path.spacing), 1), len(heading) - 1)
+    if path.closed:
+        heading = np.concatenate((heading, heading[1:n] + heading[-1] - heading[0]))
+    return np.asarray((heading[n:] - heading[:-n]) / (n * path.spacing))

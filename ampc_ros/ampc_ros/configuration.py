@@ -67,10 +67,9 @@ class Configuration(NamedTuple):
     simulated_time: bool
 
     @property
-    def sharpest_curvature(self) -> float:
-        """Curvature of the smallest circle that the car can be steered on [1/m]."""
-        angle = min(self.settings.max_angle, self.steering.max_angle)
-        return math.tan(angle) / self.chassis.wheelbase
+    def max_angle(self) -> float:
+        """Largest angle that the controller may command [rad]."""
+        return min(self.settings.max_angle, self.steering.max_angle)
 
 
 PARTS: dict[str, type[Checked]] = {

@@ -89,12 +89,18 @@ class ControllerNode(ConfiguredNode):
             self.finish()
 
     def on_path(self, message: PathMessage) -> None:
-        """Take a new path; a bad one is refused and the old one kept."""
+        """Take a new path; a bad one is refused and the old one kept.
+
+        Raises:
+            ValueError: In lock-step there is no old one: all nodes would wait for ever.
+        """
         stamp_ns = ros.nanoseconds(message.header.stamp)
         now_ns = stamp_ns if self.lock_step else self.now_ns
         try:
             self.supervisor.take_path(ros.path_points(message), stamp_ns, now_ns)
         except ValueError as error:
+            if self.lock_step and self.supervisor.path is None:
+                raise
             self.reject(error)
         if self.lock_step:
             self.answer_state()

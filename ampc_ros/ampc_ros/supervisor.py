@@ -159,7 +159,8 @@ class Supervisor:
         if self.path and self.points is not None and np.array_equal(points, self.points):
             self.path = Received(self.path.value, stamp_ns, now_ns)
             return
-        self.follow(check_path(points, self.made.sharpest_curvature), stamp_ns, now_ns)
+        path = check_path(points, self.made.chassis, self.made.max_angle)
+        self.follow(path, stamp_ns, now_ns)
         self.points = points
 
     def follow(self, path: Path, stamp_ns: int, now_ns: int) -> None:

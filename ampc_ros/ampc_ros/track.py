@@ -86,14 +86,19 @@ class Track:
             self.window.popleft()
         self.count += 1
 
-    def objection(self, state: VehicleState) -> Refusal | None:
-        """Tell why a state does not follow; None where it does."""
+    def objection(self, state: VehicleState, *, silent: bool) -> Refusal | None:
+        """Tell why a state does not follow; None where it does.
+
+        Args:
+            state: A newer one.
+            silent: Nothing has come for so long that the twist in between is not known.
+        """
         dt = seconds(self.last, state)
         if dt == 0.0:
             return Refusal("duplicate", f"odom: stamp {state.stamp_ns} ns has been here before")
         if dt < 0.0:
             return stepped_back(dt)
-        return jump(self.last, state, dt) or (None if dt > WINDOW else self._contradiction(state))
+        return jump(self.last, state, dt) or (None if silent else self._contradiction(state))
 
     def _added_up(self, state: VehicleState) -> tuple[VehicleState, float, float, float]:
         last, x, y, way = self.window[-1]

@@ -1,15 +1,25 @@
-"""Starts simulator, planner and controller, and a recording on request.
+"""Starts simulator, planner, controller and markers, and a recording on request.
 
 ``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 output:=runs/sc2`` drives a scenario in
-lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out.
+lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out. Topics
+stay on this machine; ``ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET ros2 launch ...`` shares them.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+)
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -70,7 +80,7 @@ CONTROL = (
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declares the arguments and starts the nodes; when one node ends, all end."""
+    """Declares the arguments and starts the nodes; when one ends, but for markers, all end."""
     arguments = [
         DeclareLaunchArgument(
             name, default_value=value, description=text, choices=CHOICES.get(name)
@@ -93,7 +103,15 @@ def generate_launch_description() -> LaunchDescription:
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
         for each in nodes
     ]
-    return LaunchDescription([*arguments, *together, *nodes])
+    look = parameters("lock_step", "vehicle", "base_link_to_cg")
+    markers = node("ampc_msgs_config", "markers", look)
+    return LaunchDescription([*arguments, local_discovery(), *together, *nodes, markers])
+
+
+def local_discovery() -> SetEnvironmentVariable:
+    """Topics stay on this machine, unless the shell says otherwise."""
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    return SetEnvironmentVariable(name, EnvironmentVariable(name, default_value="LOCALHOST"))
 
 
 def parameter(argument: str) -> ParameterValue:

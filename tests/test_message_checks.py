@@ -1,0 +1,118 @@
+"""Messages that cannot be used: the reason names the field, its value and the bound."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import JointState
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.types import VehicleState
+
+STATE = VehicleState(10**18, 1.0, 2.0, 0.3, 9.0, 0.1, 0.2)
+NUMBERS = [
+    ("pose.pose.position", "x"),
+    ("pose.pose.position", "y"),
+    ("twist.twist.linear", "x"),
+    ("twist.twist.linear", "y"),
+    ("twist.twist.angular", "z"),
+]
+
+
+def inner(message: Any, fields: str) -> Any:
+    """Give a part of a message by the names of its fields."""
+    for name in fields.split("."):
+        message = getattr(message, name)
+    return message
+
+
+@pytest.mark.parametrize(("fields", "name"), NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_of_odometry_that_is_not_finite_is_named(
+    fields: str, name: str, value: float
+) -> None:
+    message = ros.odometry_message(STATE)
+    setattr(inner(message, fields), name, value)
+    with pytest.raises(ValueError, match=rf"^odom: {fields}\.{name} = {value} must be finite$"):
+        ros.vehicle_state(message)
+
+
+@pytest.mark.parametrize("frame", ["", "odom", "/map", "base_link"])
+def test_odometry_in_another_frame_is_refused(frame: str) -> None:
+    message = ros.odometry_message(STATE)
+    message.header.frame_id = frame
+    with pytest.raises(ValueError, match=rf"^odom: header\.frame_id = '{frame}' must be 'map'$"):
+        ros.vehicle_state(message)
+
+
+def turned(length: float, component: str = "w") -> Odometry:
+    """Give odometry with one component of its quaternion alone."""
+    message = ros.odometry_message(STATE)
+    orientation = message.pose.pose.orientation
+    orientation.z = orientation.w = 0.0
+    setattr(orientation, component, length)
+    return message
+
+
+@pytest.mark.parametrize("component", ["x", "y", "z", "w"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_quaternion_is_a_rotation_where_its_length_is_near_one(
+    component: str, side: float
+) -> None:
+    for length in (0.9, math.nextafter(0.9, 1.0), 1.0, math.nextafter(1.1, 1.0), 1.1):
+        ros.vehicle_state(turned(side * length, component))
+    for length in (0.0, 0.9 - 1e-15, 1.1 + 1e-15, 1e200, math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"^odom: pose\.pose\.orientation = \(.*\) must have"):
+            ros.vehicle_state(turned(side * length, component))
+
+
+def road(change: Callable[[Path], None]) -> Path:
+    """Give a path message with something changed."""
+    message = ros.path_message(np.array([(5.0 * i, 0.0) for i in range(20)]), 0)
+    for pose in message.poses:
+        pose.header = type(pose.header)(frame_id=ros.MAP)
+    change(message)
+    return message
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_position_of_a_path_that_is_not_finite_is_named(name: str, value: float) -> None:
+    message = road(lambda path: setattr(path.poses[17].pose.position, name, value))
+    field = rf"poses\[17\]\.pose\.position\.{name}"
+    with pytest.raises(ValueError, match=rf"^reference_path: {field} = {value} must be finite$"):
+        ros.path_points(message)
+
+
+def test_poses_of_a_path_are_in_its_frame_or_tell_none() -> None:
+    message = road(lambda path: setattr(path.poses[3].header, "frame_id", ""))
+    assert len(ros.path_points(message)) == 20
+    message = road(lambda path: setattr(path.poses[3].header, "frame_id", "odom"))
+    sentence = r"^reference_path: poses\[3\]\.header\.frame_id = 'odom' must be 'map'$"
+    with pytest.raises(ValueError, match=sentence):
+        ros.path_points(message)
+    message = road(lambda path: setattr(path.header, "frame_id", ""))
+    with pytest.raises(ValueError, match=r"^reference_path: header\.frame_id = '' must be 'map'$"):
+        ros.path_points(message)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_measured_angle_is_at_most_a_right_angle(side: float) -> None:
+    for angle in (math.nextafter(math.pi / 2, 0.0), math.pi / 2):
+        message = ros.joint_message(0, side * angle, 0.0)
+        assert ros.steering_angle(message).value == side * angle
+    for angle in (math.nextafter(math.pi / 2, 2.0), math.nan, math.inf):
+        message = ros.joint_message(0, side * angle, 0.0)
+        with pytest.raises(
+            ValueError, match=r"^steering: position\[0\] = .* must lie in \[-1\.571"
+        ):
+            ros.steering_angle(message)
+
+
+@pytest.mark.parametrize("angles", [[], [0.1, 0.2]])
+def test_a_measured_angle_is_one_number(angles: list[float]) -> None:
+    with pytest.raises(ValueError, match=r"^steering: position = \[.*\] must hold one angle$"):
+        ros.steering_angle(JointState(position=angles))
