@@ -92,7 +92,8 @@ def measure(rate: int, seconds: float, busy: int) -> NodeRow:
         logs, result = Path(folder), Path(folder) / "row.json"
         with Processes(logs) as nodes:
             chosen = {key: getattr(CHOICES[rate], key) for key in ("settings", "gain_table")}
-            nodes.start("controller", "ampc_ros.controller_node", chosen)
+            given = {**chosen, "static_path": True}
+            nodes.start("controller", "ampc_ros.controller_node", given)
             controller = nodes.running["controller"].pid
             asked = {"rate": rate, "seconds": seconds, "pid": controller, "result": str(result)}
             nodes.start("car", "launch_scripts.bench_car_node", asked)

@@ -40,6 +40,7 @@ from launch_scripts.repetition import (
 )
 from launch_scripts.result import LABELS
 from sim_vehicle.closed_loop import drive
+from sim_vehicle.configuration import simulation_of
 
 WRONG_SET_UP = 2
 
@@ -174,8 +175,6 @@ def close_loop(run: RecordedRun, made: Configuration, console: Console) -> int:
     """Drive the simulated car of the bag, and show the result beside the recorded one."""
     if not run.simulator:
         raise ValueError(f"{run.bag}: no simulator/configuration, so there is no car to drive")
-    from sim_vehicle.configuration import simulation_of
-
     simulation = simulation_of(run.simulator, f"{run.bag}: simulator/configuration")
     start_ns = run.ticks[0].state.stamp_ns
     closed = drive(simulation, Supervisor(made._replace(static_path=True)), start_ns)

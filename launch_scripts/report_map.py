@@ -168,11 +168,18 @@ def layout(figure: go.Figure) -> None:
     """Lay the map out: a metre is as long on both axes."""
     figure.update_layout(
         template="none",
-        margin={"l": 64, "r": 12, "t": 8, "b": 44},
+        margin={"l": 64, "r": 12, "t": 34, "b": 76},
         font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         dragmode="pan",
         hovermode="closest",
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0},
+        legend={
+            "orientation": "h",
+            "yanchor": "bottom",
+            "y": 0,
+            "yref": "container",
+            "xanchor": "left",
+            "x": 0,
+        },
         paper_bgcolor="white",
         plot_bgcolor="white",
     )

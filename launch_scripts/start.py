@@ -10,6 +10,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -19,8 +20,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from ampc_msgs_config.bag import is_complete
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ControllerSettings
+from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
@@ -28,6 +30,7 @@ from ampc_ros.gain_table import load_gain_table
 from launch_scripts.environment import ros_environment
 from launch_scripts.faults import load_plan
 from launch_scripts.processes import Processes
+from launch_scripts.recover import default_output, recover
 from launch_scripts.result import Run, judge
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
@@ -39,6 +42,8 @@ FAULTY = {
     "reference_path": "nav_msgs/msg/Path",
 }
 """What the controller gets from the injector where there are faults."""
+BEREAVEMENT = 1.5
+"""Wall time in which the others show, in real time, what they do without a lost node [s]."""
 DISPENSABLE = {"markers"}
 """Nodes without which a drive goes on."""
 WRONG_SET_UP = 2
@@ -74,6 +79,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--controller", default.controller, "who steers", choices=CONTROLLERS)
     add("--settings", default.settings, "limits of the controller", "controllers")
     add("--gain-table", default.gain_table, "gains of the controller", "gains")
+    add("--guard", "track", "limits of every command", "guards")
     add("--friction", -1.0, "of the road, 0.01 to 3; -1: that of the tyres", type=float)
     add("--noise", "", "of the measurement; default: none", "noise")
     add("--seed", 0, "of the noise", type=int)
@@ -112,6 +118,7 @@ def prepare(chosen: argparse.Namespace) -> Run:
     load(ControllerSettings, find("controllers", chosen.settings))
     if chosen.gain_table:
         load_gain_table(chosen.gain_table)
+    load(GuardLimits, find("guards", chosen.guard))
     if chosen.noise:
         load(MeasurementNoise, find("noise", chosen.noise))
     if chosen.faults:
@@ -140,31 +147,43 @@ def interrupt(number: int, _: Any) -> NoReturn:
 
 def drive(run: Run, console: Console) -> Ending:
     """Start the nodes, follow the drive, end the nodes; tells how it ended."""
+    try:
+        with Processes(run.folder / "log") as nodes:
+            try:
+                start_nodes(nodes, run)
+                follow(nodes, run.scenario, console)
+            except Ending as ending:
+                complain(console, ending)
+                if ending.code == 1 and run.options["real_time"]:
+                    listen_to_the_others(nodes, console)
+                raise
+    except Ending as ending:
+        return ending
+    return Ending("completed", 0)
+
+
+def start_nodes(nodes: Processes, run: Run) -> None:
+    """Start the nodes, the recorder first."""
     given = run.options
     lock_step = not (given["real_time"] or given["faults"])
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
     route = {key: given[key] for key in Route._fields}
-    control = {key: given[key] for key in ("controller", "settings", "gain_table")}
+    control = {key: given[key] for key in ("controller", "settings", "gain_table", "guard")}
+    control["static_path"] = True  # the planner publishes it once
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
     renamed = {topic: f"faulty/{topic}" for topic in FAULTY} if given["faults"] else {}
     if given["faults"]:
         record["topics"] = [f"{renamed[topic]}:{kind}" for topic, kind in FAULTY.items()]
-    try:
-        with Processes(run.folder / "log") as nodes:
-            nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
-            nodes.start("planner", "ampc_ros.planner_node", common | route)
-            if given["faults"]:
-                nodes.start("injector", "launch_scripts.inject_node", {"faults": given["faults"]})
-            nodes.start("controller", "ampc_ros.controller_node", common | control, renamed)
-            nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
-            look = {key: common[key] for key in ("lock_step", "vehicle")}
-            nodes.start("markers", "ampc_msgs_config.marker_node", look)
-            follow(nodes, run.scenario, console)
-    except Ending as ending:
-        return ending
-    return Ending("completed", 0)
+    nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
+    nodes.start("planner", "ampc_ros.planner_node", common | route)
+    if given["faults"]:
+        nodes.start("injector", "launch_scripts.inject_node", {"faults": given["faults"]})
+    nodes.start("controller", "ampc_ros.controller_node", common | control, renamed)
+    nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+    look = {key: common[key] for key in ("lock_step", "vehicle")}
+    nodes.start("markers", "ampc_msgs_config.marker_node", look)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
@@ -212,6 +231,17 @@ def is_over(nodes: Processes) -> bool:
     return False
 
 
+def listen_to_the_others(nodes: Processes, console: Console) -> None:
+    """Let the nodes that are left show what they do without the lost one, and print it."""
+    left = [name for name in nodes.running if name not in nodes.ended()]
+    known = {name: len(nodes.words(name)) for name in left}
+    console.print(f"{', '.join(left)} go on for {BEREAVEMENT:g} s, and are ended then:")
+    time.sleep(BEREAVEMENT)
+    for name in left:
+        for line in nodes.words(name)[known[name] :]:
+            console.print(f"  {name}: {line}", markup=False)
+
+
 def complain(console: Console, error: Exception) -> None:
     """Print one sentence."""
     console.print(Text.assemble(("error:", "red"), f" {error}"))
@@ -219,13 +249,18 @@ def complain(console: Console, error: Exception) -> None:
 
 def finish(run: Run, ending: Ending, console: Console) -> int:
     """Judge what was driven, show it, and give the exit code."""
-    if ending.code:
-        complain(console, ending)
     try:
         console.print(judge(run, str(ending)))
         console.print(
             f"bag, report.html, metrics.json, drive.png and logs: {run.folder}", markup=False
         )
+        if not is_complete(run.bag):
+            recover(run.bag, default_output(run.bag))
+            console.print(
+                "the bag was not closed; all but its last moments, whole: "
+                f"{default_output(run.bag)}",
+                markup=False,
+            )
     except ValueError as error:
         if ending.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)

@@ -22,7 +22,7 @@ NODES: dict[str, Any] = {
     "planner": PlannerNode,
     "simulator": SimulatorNode,
 }
-OF_LAUNCH = {"lock_step", "start_time_out"}
+OF_LAUNCH = {"lock_step", "static_path", "start_time_out"}
 """Where the launch file has defaults of its own: a whole drive is its purpose."""
 
 

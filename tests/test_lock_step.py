@@ -17,10 +17,11 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.scenario import load_scenario
 from ampc_msgs_config.types import VehicleState
-from ampc_ros.configuration import Choices
+from ampc_ros.configuration import Choices, configuration
 from ampc_ros.controller import make_controller
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
+from ampc_ros.supervisor import Supervisor
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 from sim_vehicle.simulator_node import SimulatorNode
@@ -34,6 +35,7 @@ class Case(NamedTuple):
     controller: str
     noise: str = ""
     seed: int = 0
+    guard: str = "road"
 
 
 CASES = [
@@ -41,7 +43,13 @@ CASES = [
     Case("sc3_wind", "pure_pursuit"),
     Case("sc1", "classic", "x1", 7),
     Case("sc2", "preview"),
+    Case("sc2", "preview", guard="track"),
 ]
+
+
+def name_of(case: Case) -> str:
+    """Give the name of a test."""
+    return "-".join(map(str, filter(None, case)))
 
 
 class Heard(NamedTuple):
@@ -99,22 +107,40 @@ def drive_over_ros(case: Case) -> Heard:
 
 @cache
 def drive_offline(case: Case) -> Drive:
-    """Drive without ROS."""
+    """Drive without ROS, supervised as in the node."""
+    return drive(car_of(case), Supervisor(configuration(choices_of(case))))
+
+
+def choices_of(case: Case) -> Choices:
+    """Give what the parameters of the node choose in lock-step."""
+    return Choices(
+        controller=case.controller, guard=case.guard, static_path=True, simulated_time=True
+    )
+
+
+def car_of(case: Case) -> Simulation:
+    """Place the car at its start."""
     vehicle = load_vehicle(find("vehicles", "paper"))
     scenario = load_scenario(case.scenario, vehicle.size)
     noise = load(MeasurementNoise, find("noise", case.noise)) if case.noise else None
     rng = np.random.default_rng(case.seed)
-    car = Simulation(vehicle, scenario, noise=noise, rng=rng)
-    return drive(car, make_controller(Choices(controller=case.controller)))
+    return Simulation(vehicle, scenario, noise=noise, rng=rng)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, filter(None, case))))
+@pytest.mark.parametrize("case", CASES, ids=name_of)
 def test_ros_in_lock_step_and_the_offline_loop_give_the_same_bits(case: Case) -> None:
     offline, heard = drive_offline(case), drive_over_ros(case)
     commands = dict(heard.commands)
     assert sorted(set(heard.states)) == offline.states
     assert list(commands) == [state.stamp_ns for state in offline.states]
     assert list(commands.values()) == offline.steering.tolist()
+
+
+@pytest.mark.parametrize("case", CASES, ids=name_of)
+def test_a_guard_that_clips_nothing_leaves_every_bit_of_the_controller(case: Case) -> None:
+    case = case._replace(guard="track")
+    alone = drive(car_of(case), make_controller(choices_of(case)))
+    assert drive_offline(case).steering.tolist() == alone.steering.tolist()
 
 
 def test_every_state_is_answered_once_and_all_stamps_are_simulated_time() -> None:

@@ -16,13 +16,14 @@ from numba.core.dispatcher import Dispatcher
 from rcl_interfaces.msg import ParameterType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import spin
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import FEED_FORWARD, NANOSECONDS, OPTIMAL, SHIFTED_PLAN, VehicleState
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
@@ -32,6 +33,7 @@ from tests.ros_nodes import add, ros_context, spin_to_the_end, spin_until
 NODES: list[Callable[[], Any]] = [ControllerNode, PlannerNode, SimulatorNode]
 TICK_NS = NANOSECONDS // 10
 STRAIGHT = [(float(x), 0.0) for x in range(0, 500, 5)]
+AT_RUN_TIME = {"settings", "gain_table", "guard", "static_path", "qp_fault"}
 
 
 def odometry(stamp_ns: int, **changes: Any) -> Odometry:
@@ -90,7 +92,9 @@ class World(Node):
         spin_until(self.executor_of_all, condition)
 
 
-def test_every_parameter_has_a_description_and_every_number_a_range() -> None:
+def test_every_parameter_has_a_description_every_number_a_range_and_five_change_at_run_time() -> (
+    None
+):
     with ros_context() as executor:
         for make_node in NODES:
             node = make_node()
@@ -100,7 +104,7 @@ def test_every_parameter_has_a_description_and_every_number_a_range() -> None:
             assert {"lock_step", "vehicle"} <= set(ours)
             for descriptor in node.describe_parameters(ours):
                 assert descriptor.description
-                assert descriptor.read_only
+                assert descriptor.read_only == (descriptor.name not in AT_RUN_TIME)
                 if descriptor.type == ParameterType.PARAMETER_DOUBLE:
                     assert descriptor.floating_point_range
                 if descriptor.type == ParameterType.PARAMETER_INTEGER:
@@ -168,20 +172,20 @@ BAD_PATHS = [
 
 
 def test_bad_inputs_are_rejected_counted_and_reported_and_the_last_good_ones_kept() -> None:
-    with ros_context(controller="pure_pursuit") as executor:
+    with ros_context(controller="pure_pursuit", use_sim_time="true") as executor:
         node = ControllerNode()
         world = World(executor, node)
         node.on_odometry(odometry(1))
         node.on_path(path())
-        state, good_path = node.state, node.path
+        state, good_path = node.supervisor.state, node.supervisor.path
         for message, sentence in BAD_STATES + BAD_PATHS:
             callback = node.on_odometry if isinstance(message, Odometry) else node.on_path
             callback(message)
             report = world.next_report(node)
             assert report.level == DiagnosticStatus.WARN
             assert sentence in report.message
-            assert node.state is state
-            assert node.path is good_path
+            assert node.supervisor.state is state
+            assert node.supervisor.path is good_path
         last = world.next_report(node)
     assert last.level == DiagnosticStatus.OK
     assert {pair.key: pair.value for pair in last.values}["rejected_inputs"] == str(
@@ -191,13 +195,15 @@ def test_bad_inputs_are_rejected_counted_and_reported_and_the_last_good_ones_kep
 
 def test_the_controller_steers_on_its_timer_and_stamps_its_command_with_the_state() -> None:
     with ros_context(controller="pure_pursuit") as executor:
-        world = World(executor, ControllerNode())
+        node = ControllerNode()
+        world = World(executor, node)
         world.paths.publish(path())
         sent: list[int] = []
 
         def has_five_commands() -> bool:
-            sent.append(TICK_NS * (len(sent) + 1))
-            world.odom.publish(odometry(sent[-1]))
+            sent.append(node.now_ns)
+            driven = 9.0 * (sent[-1] - sent[0]) / NANOSECONDS
+            world.odom.publish(odometry(sent[-1], x=driven))
             return len(world.commands) >= 5
 
         world.spin_until(has_five_commands)
@@ -207,7 +213,7 @@ def test_the_controller_steers_on_its_timer_and_stamps_its_command_with_the_stat
 
 
 def test_a_state_that_comes_after_its_tick_is_answered_at_once_and_none_is_missed() -> None:
-    with ros_context(controller="pure_pursuit") as executor:
+    with ros_context(controller="pure_pursuit", use_sim_time="true") as executor:
         node = ControllerNode()
         add(executor, node)
         node.on_path(path())
@@ -226,7 +232,7 @@ def test_a_state_that_comes_after_its_tick_is_answered_at_once_and_none_is_misse
 
 
 def test_debug_topics_are_published_where_somebody_listens() -> None:
-    with ros_context(controller="pure_pursuit") as executor:
+    with ros_context(controller="pure_pursuit", use_sim_time="true") as executor:
         node = ControllerNode()
         world = World(executor, node)
         heard: list[float] = []
@@ -237,28 +243,29 @@ def test_debug_topics_are_published_where_somebody_listens() -> None:
 
         world.create_subscription(Float64, topic, on_error, ros.RELIABLE)
         world.spin_until(lambda: world.count_publishers(topic) > 0)
-        world.spin_until(lambda: any(each.get_subscription_count() for each in node.debug))
+        world.spin_until(lambda: any(each.get_subscription_count() for each in node.outputs.debug))
         node.on_path(path())
         node.on_odometry(odometry(TICK_NS, y=0.25, yaw=0.0))
         node.on_timer()
         world.spin_until(lambda: bool(heard))
-        listening = [each.topic_name for each in node.debug if each.get_subscription_count()]
+        listening = [
+            each.topic_name for each in node.outputs.debug if each.get_subscription_count()
+        ]
     assert heard == [pytest.approx(0.25)]
     assert listening == [f"/{topic}"]
 
 
 def test_the_timer_follows_simulated_time_and_time_going_backwards_starts_anew() -> None:
-    with ros_context(controller="paper", use_sim_time="true") as executor:
+    with ros_context(controller="paper", use_sim_time="true", static_path="true") as executor:
         node = ControllerNode()
         world = World(executor, node)
         world.paths.publish(path())
-        world.spin_until(lambda: node.path is not None)
+        world.spin_until(lambda: node.supervisor.path is not None)
         for _ in range(2):
             world.set_clock(0.9, node)
             for stamp_ns in range(NANOSECONDS, 2 * NANOSECONDS, TICK_NS):
-                message = odometry(stamp_ns)
-                world.odom.publish(message)
-                world.spin_until(lambda: node.state == ros.vehicle_state(message))  # noqa: B023
+                world.odom.publish(odometry(stamp_ns))
+                world.spin_until(lambda: node.supervisor.newest_ns == stamp_ns)  # noqa: B023
                 world.set_clock(stamp_ns / NANOSECONDS, node)
                 world.spin_until(node.is_answered)
         world.spin_until(lambda: len(world.commands) == 20)
@@ -357,24 +364,39 @@ def compiled_signatures() -> dict[str, int]:
     }
 
 
+MET = [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 12.0), (-3.0, 12.0), (-3.0, 9.0)]
+"""Lateral position [m] and speed [m/s], a second apart."""
+
+
 def compiled_within_ticks(controller: str) -> dict[str, int]:
     """Give what a fresh process compiles after its nodes have been made: nothing, one hopes."""
-    with ros_context(controller=controller, path="road.csv", speed=8.0) as executor:
+    given = {"controller": controller, "path": "road.csv", "speed": 8.0, "use_sim_time": "true"}
+    with ros_context(**given) as executor:
         nodes = ControllerNode(), PlannerNode(), SimulatorNode()
         add(executor, *nodes)
         steerer, planner, simulator = nodes
         before = compiled_signatures()
         steerer.on_path(path())
-        for tick, (y, v_x) in enumerate(
-            [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 1.0), (0.0, 0.0)]
-        ):
-            message = odometry(NANOSECONDS + TICK_NS * tick, y=y, v_x=v_x)
+        rungs: set[float] = set()
+        for tick in range(16):
+            y, v_x = MET[min(tick, len(MET) - 1)]
+            message = odometry(NANOSECONDS * (1 + tick), x=9.0 * tick, y=y, v_x=v_x)
             steerer.on_odometry(message)
+            steerer.on_steering(ros.joint_message(0, 0.0, 0.0))
             steerer.on_timer()
+            assert steerer.is_answered()
             planner.on_odometry(message)
             simulator.simulation.advance(0.1, 9.0, TICK_NS)
             simulator.publish_state()
-        assert steerer.is_answered()
+            assert steerer.decision
+            rungs.add(steerer.decision.supervision.rung)
+            steerer.supervisor.ladder.qp_fault = tick > len(MET)
+        assert {OPTIMAL, SHIFTED_PLAN, FEED_FORWARD} <= rungs
+        assert steerer.set_parameters([Parameter("guard", value="track")])[0].successful
+        steerer.on_odometry(odometry(20 * NANOSECONDS, x=171.0, y=-3.0))
+        steerer.on_timer()
+        assert steerer.decision
+        assert steerer.decision.supervision.configuration == 2
         after = compiled_signatures()
     return {
         name: after[name] - before.get(name, 0) for name in after if after[name] != before[name]

@@ -120,7 +120,8 @@ def tick_times() -> list[float]:
     """Give the time of each of the first ticks of a node, state to published command [s]."""
     from ampc_ros.controller_node import ControllerNode
 
-    with ros_context(settings="100hz", gain_table="preview_100hz") as executor:
+    chosen = {"settings": "100hz", "gain_table": "preview_100hz", "use_sim_time": "true"}
+    with ros_context(**chosen) as executor:
         node = ControllerNode()
         executor.add_node(node)
         node.on_path(ros.path_message(np.array(PATHS["bends"]), 0))

@@ -29,8 +29,6 @@ NODES: dict[str, Any] = {
 }
 RULES = {"topics": ("publish", "subscribe"), "services": ("reply", "request")}
 NOT_YET = {
-    "planner": {"publish /planner/configuration"},
-    "simulator": {"publish /simulator/configuration"},
     "recorder": {"subscribe /tf", "subscribe /tf_static"},  # where tf2_msgs is installed
 }
 """What is allowed, though no node does it here."""

@@ -145,6 +145,19 @@ def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
     assert not [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/clock"]
 
 
+MISSED = {
+    "recorder": [],
+    "planner": ["simulator: no target_speed for"],
+    "controller": ["simulator: no steering_command for"],
+    "simulator": [
+        "controller: steering by shifted_plan, because of state_late",
+        "controller: a stop is requested, because of state_lost",
+        "planner: a stop is requested: braking",
+    ],
+}
+"""What the others say when a node is lost."""
+
+
 @pytest.mark.parametrize("node", NEEDED)
 def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     node: str, tmp_path: Path
@@ -154,9 +167,17 @@ def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     said, _ = started.process.communicate(timeout=30)
     assert started.process.returncode == 1
     assert f"error: {node} was killed by SIGKILL" in said
+    assert "go on for 1.5 s, and are ended then:" in said
+    assert [sentence for sentence in MISSED[node] if sentence not in said] == []
+    assert f"logs: {started.folder}" in said
     assert processes(started.mark) == {}
     assert len(read_drive(started.folder / "bag").drive.states) > 5
     assert is_complete(started.folder / "bag") == (node != "recorder")
+    if node == "recorder":
+        assert f"whole: {started.folder}/bag_recovered" in said
+        assert is_complete(started.folder / "bag_recovered")
+        recovered = read_drive(started.folder / "bag_recovered").drive
+        assert recovered.states == read_drive(started.folder / "bag").drive.states
     assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
 
 
@@ -210,6 +231,7 @@ WRONG_OPTIONS = {
     "--scenario=sc99": "'sc99' is neither a file nor one of the shipped scenarios: circle, ",
     "--vehicle=tank": "'tank' is neither a file nor one of the shipped vehicles: ordinary, paper",
     "--settings=x": "'x' is neither a file nor one of the shipped controllers: ",
+    "--guard=x": "'x' is neither a file nor one of the shipped guards: road, track",
     "--gain-table=x": "'x' is neither a file nor one of the shipped gains: ",
     "--noise=loud": "'loud' is neither a file nor one of the shipped noise: x1",
     "--path=none.csv": "none.csv: cannot be read: ",

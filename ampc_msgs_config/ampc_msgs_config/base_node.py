@@ -28,10 +28,13 @@ from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
 from ampc_msgs_config.types import VehicleState
 
-OK, WARN = DiagnosticStatus.OK[0], DiagnosticStatus.WARN[0]
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DELIVERY = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
+FAREWELL = 0.5
+"""The same where nobody said that a recorder listens [s]."""
 
 
 class BaseNode(Node):
@@ -81,8 +84,8 @@ class BaseNode(Node):
         """Publish what others need when this node ends."""
 
     def deliver(self) -> None:
-        """Wait until the recorder has all that this node has published, where it was waited for."""
-        until = time.monotonic() + (DELIVERY if self.is_recorded else 0.0)
+        """Wait until all have the last words; the recorder, where it was waited for, longer."""
+        until = time.monotonic() + (DELIVERY if self.is_recorded else FAREWELL)
         for publisher in self.publishers:
             rest = max(until - time.monotonic(), 0.0)
             publisher.wait_for_all_acked(Duration(seconds=rest))
@@ -96,7 +99,7 @@ class BaseNode(Node):
     def report(
         self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
     ) -> None:
-        """Publish the health since the last report: OK, or the worst trouble in words.
+        """Publish the health since the last report: OK, or the trouble in words, lasting first.
 
         Args:
             stamp_ns: Time of the report [ns].
@@ -107,12 +110,11 @@ class BaseNode(Node):
         if self.wait_for_recorder:
             lasting, level = "waiting for a recorder that listens to this node", WARN
         passing, self.trouble = self.trouble, ""
-        trouble, level = (
-            (lasting, level) if lasting and level > WARN else (passing or lasting, WARN)
-        )
+        trouble = "; ".join(filter(None, (lasting, passing)))
+        level = max(level if lasting else OK, WARN if passing else OK)
         values = {**values, "rejected_inputs": self.rejected}
         status = DiagnosticStatus(
-            level=bytes([level if trouble else OK]),
+            level=bytes([level]),
             name=self.get_fully_qualified_name(),
             message=trouble or "OK",
             values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],

@@ -3,96 +3,52 @@
 import math
 import sys
 import time
-from functools import partial
-from typing import Any
 
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import BaseNode, declare, spin
+from ampc_msgs_config.base_node import WARN, spin
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.configuration import CONTROLLERS, Choices, configuration, gain_file
-from ampc_ros.controller import warm_up
-from ampc_ros.health import health, numbers
+from ampc_ros.configured_node import ConfiguredNode
+from ampc_ros.health import Condition, change, condition, health, numbers
 from ampc_ros.ros import Outputs
-from ampc_ros.supervisor import Decision, Supervisor, rehearse
+from ampc_ros.supervisor import Decision
 from ampc_ros.ticks import Ticks
 
-RUN_TIME = ("settings", "gain_table", "guard", "static_path")
-"""What a running controller may exchange."""
 REPORT_PAUSE = 0.1
 """Least wall time between two reports of changes [s]."""
 
 
-class ControllerNode(BaseNode, LifecycleNodeMixin):
-    """Steers on a timer of the node's clock, or, in lock-step, once for every state.
+class ControllerNode(ConfiguredNode):
+    """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
 
-    A managed node (ROS 2 lifecycle) that configures and activates itself unless told otherwise.
-    """
+    ticks: Ticks
+    timer: Timer
 
     def __init__(self) -> None:
         """Declare everything; then, where it is to start by itself, configure and activate."""
-        BaseNode.__init__(self, "controller")
-        self.is_active = False
-        self.wrong: ValueError | None = None
+        super().__init__("controller")
         self.decision: Decision | None = None
-        self.condition: tuple[float, ...] = ()
+        self.condition = Condition()
         self.reported = -math.inf
-        self.commands_given = self.configurations = 0
+        self.commands_given = 0
         self.declare_choices()
-        LifecycleNodeMixin.__init__(self)
-        if declare(self, "autostart", True, "configure and activate at the start"):
-            self.trigger_configure()
-            if self.wrong:
-                raise self.wrong
-            self.trigger_activate()
+        self.create_timer(1.0, self.on_diagnostics)
+        self.start()
 
-    def declare_choices(self) -> None:
-        """Declare the parameters that say what the controller is made of."""
-        default, offer = Choices(), partial(declare, self)
-        offer("controller", default.controller, "which one", list(CONTROLLERS))
-        offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
-        offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
-        offer = partial(declare, self, at_run_time=True)
-        offer("settings", default.settings, "shipped limits, or YAML file")
-        offer("gain_table", default.gain_table, "shipped gains, or YAML file")
-        offer("guard", default.guard, "shipped limits of the guard, or YAML file")
-        offer("static_path", self.lock_step, "the path is published once and does not grow old")
-        offer("qp_fault", False, "let every solution fail, to see what happens")
-
-    def choices(self, changed: dict[str, Any]) -> Choices:
-        """Give what the parameters choose, some of them changed."""
-        chosen = {name: self.get_parameter(name).value for name in Choices._fields[:-1]}
-        chosen |= {key: value for key, value in changed.items() if key in chosen}
-        if chosen["base_link_to_cg"] < 0:
-            chosen["base_link_to_cg"] = None
-        simulated = self.lock_step or bool(self.get_parameter("use_sim_time").value)
-        return Choices(**chosen, simulated_time=simulated)
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def set_up(self) -> None:
         """Load and compile everything; only then publish and subscribe."""
-        try:
-            choices = self.choices({})
-            made, source = configuration(choices), gain_file(choices)
-            self.supervisor = Supervisor(made, source, self.configurations + 1)
-        except ValueError as error:
-            self.wrong = error
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        warm_up(self.supervisor.ladder.controller)
-        rehearse(self.supervisor.made)
-        self.ticks = Ticks(self.supervisor.period)
-        self.decision, self.wrong, self.commands_given = None, None, 0
+        self.load()
+        self.ticks, self.decision = Ticks(self.supervisor.period), None
         self.outputs = Outputs(self, lock_step=self.lock_step)
+        self.while_configured.callback(self.outputs.destroy)
         self.publish_configuration()
         self.listen()
-        return super().on_configure(state)
+        self.offer_changes()
 
     def listen(self) -> None:
         """Subscribe, and offer services."""
@@ -103,63 +59,48 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
         ]
         if not self.lock_step:  # where the order of odom and steering_state is nobody's promise
             inputs.append((JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST))
-        self.inputs = [self.create_subscription(*each) for each in inputs]
-        self.offered = [
-            self.create_service(Trigger, "~/reload", self.on_reload),
-            self.create_service(Trigger, "~/reset_stop", self.on_reset_stop),
-        ]
-        self.add_on_set_parameters_callback(self.on_parameters)
+        leave = self.while_configured.callback
+        for each in inputs:
+            leave(self.destroy_subscription, self.create_subscription(*each))
+        reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
+        leave(self.destroy_service, reset_stop)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave the topics; the next configuration reads everything anew."""
-        self.remove_on_set_parameters_callback(self.on_parameters)
-        for subscription in self.inputs:
-            self.destroy_subscription(subscription)
-        for service in self.offered:
-            self.destroy_service(service)
-        self.outputs.destroy()
-        return super().on_cleanup(state)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to steer, from the angle in force."""
+    def begin(self) -> None:
+        """Begin to steer, from the angle in force; plans of an earlier time are forgotten."""
+        if self.decision:
+            self.supervisor.restart()
         self.ticks.restart()
         self.supervisor.stop_requested = False
         self.outputs.stop(False)
         if not self.lock_step:
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
-        self.reporting = self.create_timer(1.0, self.on_diagnostics)
-        self.is_active = True
+            self.while_active.callback(self.destroy_timer, self.timer)
         self.get_logger().info("ready")
-        return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop steering: hold the angle, and ask for a stop."""
-        self.say_last()
+    def finish(self) -> None:
+        """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
         if not self.lock_step:
-            self.destroy_timer(self.timer)
-        self.destroy_timer(self.reporting)
-        self.is_active = False
-        return super().on_deactivate(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave the car in the same way."""
-        self.say_last()
-        self.is_active = False
-        return super().on_error(state)
+            self.outputs.stop(True)
+            self.outputs.hold()
 
     def say_last(self) -> None:
-        """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
-        if self.is_active and self.decision and not self.lock_step:
-            self.outputs.hold()
-            self.outputs.stop(True)
+        """Do the same at the end of the process."""
+        if self.is_active:
+            self.finish()
 
     def on_path(self, message: PathMessage) -> None:
-        """Take a new path; a bad one is refused and the old one kept."""
+        """Take a new path; a bad one is refused and the old one kept.
+
+        Raises:
+            ValueError: In lock-step there is no old one: all nodes would wait for ever.
+        """
         stamp_ns = ros.nanoseconds(message.header.stamp)
         now_ns = stamp_ns if self.lock_step else self.now_ns
         try:
             self.supervisor.take_path(ros.path_points(message), stamp_ns, now_ns)
         except ValueError as error:
+            if self.lock_step and self.supervisor.path is None:
+                raise
             self.reject(error)
         if self.lock_step:
             self.answer_state()
@@ -236,59 +177,24 @@ class ControllerNode(BaseNode, LifecycleNodeMixin):
     def tell(self, decision: Decision) -> None:
         """Ask for a stop where that is new, and report at once what has changed."""
         self.outputs.stop(self.supervisor.stop_requested)
-        told = decision.supervision
-        condition = told.rung, told.reason, told.clipped
-        if condition != self.condition and time.monotonic() - self.reported > REPORT_PAUSE:
-            self.condition = condition
+        before, now = self.condition, condition(self.supervisor, decision)
+        if now != before and time.monotonic() - self.reported > REPORT_PAUSE:
+            self.condition = now
+            if said := change(before, now):
+                self.get_logger().warning(said)
             self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
-        """Report health."""
+        """Report health, once a second and where it has changed."""
         self.reported = time.monotonic()
+        if not self.is_active:
+            state = self._state_machine.current_state[1]
+            self.report(self.now_ns, f"{state}: no commands are given", {}, WARN)
+            return
         level, sentence = health(self.supervisor, self.decision, self.now_ns)
         account = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
         values = account | numbers(self.supervisor, self.decision)
         self.report(self.now_ns, sentence, values, level)
-
-    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Use new values, all at once, or refuse them all; the steering goes on where it is."""
-        changed = {each.name: each.value for each in parameters}
-        try:
-            if set(changed) & set(RUN_TIME):
-                self.reconfigure(self.choices(changed))
-        except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        ladder = self.supervisor.ladder
-        ladder.qp_fault = changed.get("qp_fault", ladder.qp_fault)
-        return SetParametersResult(successful=True)
-
-    def reconfigure(self, choices: Choices) -> None:
-        """Go on with what was chosen; where that is wrong, with what there was."""
-        made, period = configuration(choices), self.supervisor.period
-        if made.settings.sample_time != period:
-            raise ValueError(
-                f"sample_time = {made.settings.sample_time:g} s must stay {period:g} s while the "
-                "controller is configured"
-            )
-        self.supervisor.reconfigure(made, gain_file(choices))
-        self.publish_configuration()
-
-    def publish_configuration(self) -> None:
-        """Say what the controller is made of now."""
-        self.configurations = self.supervisor.number
-        self.outputs.configuration(self.supervisor)
-        self.get_logger().info(f"configuration {self.configurations} in use")
-
-    def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Read gains, limits and guard from their files again; a bad one changes nothing."""
-        try:
-            self.reconfigure(self.choices({}))
-        except ValueError as error:
-            self.get_logger().error(f"not reloaded: {error}")
-            response.success, response.message = False, str(error)
-            return response
-        response.success, response.message = True, f"configuration {self.supervisor.number}"
-        return response
 
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take the request to stop back."""

@@ -9,8 +9,10 @@ from ampc_msgs_config.types import (
     OPTIMAL,
     REASONS,
     RUNGS,
+    SHIFTED_PLAN,
     STANDSTILL,
     STOP,
+    TRACKING,
 )
 from ampc_ros.supervisor import Decision, Supervisor
 
@@ -48,6 +50,44 @@ def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> He
     if supervisor.stop_requested:
         said.append(Health(WARN, "a stop has been requested; the service ~/reset_stop ends that"))
     return max(said, key=lambda each: each.level)
+
+
+class Condition(NamedTuple):
+    """What is reported as soon as it changes."""
+
+    rung: float = OPTIMAL
+    reason: float = 0.0
+    clipped: float = 0.0
+    mode: float = TRACKING
+    outside_table: float = 0.0
+    path_is_old: bool = False
+    stop_requested: bool = False
+
+
+def condition(supervisor: Supervisor, decision: Decision) -> Condition:
+    """Give the condition after a tick."""
+    told, diagnosis = decision.supervision, decision.command.diagnosis
+    made, age = supervisor.made, max(told.path_age, told.path_silence)
+    return Condition(
+        told.rung,
+        told.reason,
+        told.clipped,
+        diagnosis.mode,
+        diagnosis.outside_table,
+        not made.static_path and age > made.settings.path_late,
+        supervisor.stop_requested,
+    )
+
+
+def change(before: Condition, now: Condition) -> str:
+    """Say what is worth a line of the log; empty: nothing."""
+    if now.stop_requested and not before.stop_requested:
+        return f"a stop is requested, because of {REASONS[int(now.reason)]}"
+    if before[:2] == now[:2] or max(before.rung, now.rung) < SHIFTED_PLAN:
+        return ""
+    if now.rung < SHIFTED_PLAN:
+        return "steering by the controller's solution again"
+    return f"steering by {RUNGS[int(now.rung)]}, because of {REASONS[int(now.reason)]}"
 
 
 def _of_path(supervisor: Supervisor, now_ns: int) -> Health:

@@ -1,15 +1,25 @@
-"""Node `planner`: publishes path and target speed of a drive. `ros2 run ampc_ros planner`."""
+"""Node `planner`: publishes path and target speed of a drive. `ros2 run ampc_ros planner`.
+
+In real time it brakes while a stop is requested. In lock-step it does not: whether a request comes
+before or after the state of the same tick is nobody's promise there, and a drive is to repeat.
+"""
 
 import sys
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import BaseNode, declare_scenario, spin
+from ampc_msgs_config.base_node import OK, STALE, WARN, BaseNode, declare_scenario, spin
+from ampc_msgs_config.braking import Braking
 from ampc_msgs_config.scenario import SpeedPlanner
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.scenario_yaml import document, mapping_of
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+
+SILENCE = 0.5
+"""Age of the newest state from which it is reported as stale [s]."""
 
 
 class PlannerNode(BaseNode):
@@ -21,12 +31,18 @@ class PlannerNode(BaseNode):
         self.scenario = declare_scenario(self)
         self.plan = SpeedPlanner(self.scenario)
         self.plan.target_speed(VehicleState(0, *self.scenario.start, 0.0, 0.0, 0.0))  # compiles
+        self.braking, self.stop_requested = Braking(), False
         self.answer: TwistStamped | None = None
         self.path_is_out = False
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.speeds = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
+        if not self.lock_step:
+            self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop_request, ros.LATCHED)
+        self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
+        told = document({"scenario": mapping_of(self.scenario)})
+        self.configurations.publish(String(data=told))
         self.create_timer(1.0, self.on_diagnostics)
         if self.now_ns > 0:
             self.publish_path(self.now_ns)
@@ -54,18 +70,37 @@ class PlannerNode(BaseNode):
         """Give the target speed at a state; the drive starts anew where time goes backwards."""
         answered_ns = -1 if self.answer is None else ros.nanoseconds(self.answer.header.stamp)
         if self.answer is None or state.stamp_ns < answered_ns:
-            self.plan = SpeedPlanner(self.scenario)
+            self.plan, self.braking = SpeedPlanner(self.scenario), Braking()
             self.get_logger().info("the drive starts")
         if state.stamp_ns != answered_ns:
-            speed = ros.Stamped(state.stamp_ns, self.plan.target_speed(state))
-            self.answer = ros.speed_message(speed)
+            planned = self.plan.target_speed(state)
+            speed = self.braking.limited(planned, state, stop=self.stop_requested)
+            self.answer = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
         return self.answer
 
+    def on_stop_request(self, message: Bool) -> None:
+        """Brake from the next state on, or go on."""
+        if message.data != self.stop_requested:
+            self.stop_requested = bool(message.data)
+            asked = "a stop is requested: braking" if message.data else "the drive goes on"
+            self.get_logger().warning(asked)
+            self.on_diagnostics()
+
     def on_diagnostics(self) -> None:
-        """Report health once a second."""
-        waiting = "waiting for odom" if self.answer is None else ""
+        """Report health, once a second and where a stop is requested or taken back."""
+        level, sentence = self.health()
         speed = self.answer.twist.linear.x if self.answer else 0.0
-        self.report(self.now_ns, waiting, {"target_speed": speed})
+        values = {"target_speed": speed, "stop_requested": float(self.stop_requested)}
+        self.report(self.now_ns, sentence, values, level)
+
+    def health(self) -> tuple[int, str]:
+        """Give level and sentence."""
+        if self.answer is None:
+            return STALE, "waiting for odom"
+        age = (self.now_ns - ros.nanoseconds(self.answer.header.stamp)) / NANOSECONDS
+        if age > SILENCE:
+            return STALE, f"odom is {age:.1f} s old: no target speed is published"
+        return (WARN, "a stop is requested: braking") if self.stop_requested else (OK, "")
 
 
 def main() -> int:

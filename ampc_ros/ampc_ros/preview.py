@@ -10,9 +10,13 @@ from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.belief import Belief, belief_row, believed
 from ampc_ros.gain_table import GainTable
 from ampc_ros.preview_tick import (
+    ACCELERATION,
     BEFORE,
+    DISTURBANCE,
+    EXPECTED,
     EXPECTS,
     INDEX,
+    LAST_SPEED,
     SENT,
     STATE_DELTA,
     new_memory,
@@ -61,6 +65,17 @@ class PreviewMpc:
         self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
+
+    def inherit(self, other: "PreviewMpc") -> None:
+        """Go on with what another controller of the same car has learnt: without a bump.
+
+        That is the disturbance, counted per tick, and how the speed changes.
+        """
+        ticks = self.period / other.period
+        self.memory[DISTURBANCE:EXPECTED] = ticks * other.memory[DISTURBANCE:EXPECTED]
+        for each in (LAST_SPEED, ACCELERATION):
+            self.memory[each] = other.memory[each]
+        self.last_ns = other.last_ns
 
     @property
     def steering(self) -> float:

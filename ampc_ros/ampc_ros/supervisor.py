@@ -63,8 +63,10 @@ class Supervisor:
         controller = build_controller(made, source)
         if self.path:
             controller.check(self.path.value)
-        fault = self.ladder.qp_fault
+        before, fault = self.ladder.controller, self.ladder.qp_fault
         self._install(made, controller, self.steering)
+        if isinstance(controller, PreviewMpc) and isinstance(before, PreviewMpc):
+            controller.inherit(before)
         self.ladder.qp_fault = fault
 
     def _install(self, made: Configuration, controller: Controller, steering: float) -> None:

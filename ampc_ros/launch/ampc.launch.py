@@ -41,6 +41,8 @@ ARGUMENTS = {
     "controller": ("preview", "who steers"),
     "settings": ("table3", f"limits of the controller: {file_or('controllers')}"),
     "gain_table": ("", f"gains: {file_or('gains')}; empty: the controller's own"),
+    "guard": ("road", f"limits of every command: {file_or('guards')}"),
+    "static_path": ("true", "the path is published once, as the planner does, and does not age"),
     "base_link_to_cg": ("-1.0", "from odom to the centre of gravity [m]; -1: rear axle"),
     "friction": ("-1.0", "of the road; -1: that of the tyres"),
     "noise": ("", f"of the measurement: {file_or('noise')}; empty: none"),
@@ -61,11 +63,20 @@ FLOATS = (
     "time_out",
     "start_time_out",
 )
-TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int, "lock_step": bool}
+SWITCHES = ("lock_step", "static_path")
+TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkeys(SWITCHES, bool)
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
-CONTROL = ("vehicle", "controller", "settings", "gain_table", "base_link_to_cg")
+CONTROL = (
+    "vehicle",
+    "controller",
+    "settings",
+    "gain_table",
+    "guard",
+    "static_path",
+    "base_link_to_cg",
+)
 
 
 def generate_launch_description() -> LaunchDescription:

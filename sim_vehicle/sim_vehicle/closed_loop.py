@@ -21,8 +21,9 @@ STEP_NS = 5_000_000
 class Steering(Protocol):
     """What steers the car: a controller, seen from here."""
 
-    period: float
-    """Time from one step to the next [s]."""
+    @property
+    def period(self) -> float:
+        """Time from one step to the next [s]."""
 
     def step(self, state: VehicleState, path: Path) -> Command:
         """Answer a state at `base_link`."""

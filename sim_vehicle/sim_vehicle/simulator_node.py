@@ -10,7 +10,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
@@ -18,18 +17,22 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.base_node import BaseNode, declare, declare_scenario, spin
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS
-from sim_vehicle.closed_loop import STEP_NS, Simulation
+from sim_vehicle.closed_loop import STEP_NS
+from sim_vehicle.configuration import Configuration, to_yaml
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_PERIOD = 0.02
 """Time from one state to the next in real-time mode [s]."""
+SILENCE = 0.5
+"""Age of an answer from which it is reported as missing, in real time [s]."""
 RESEND = 0.2
 """Wall time after which an unanswered state is published again [s]."""
 TIMED_OUT = 3
@@ -42,11 +45,11 @@ class SimulatorNode(BaseNode):
     def __init__(self) -> None:
         """Load the car and the drive; the first state goes out once both peers are there."""
         super().__init__("simulator", owns_time=True)
-        self.make_simulation = self._simulation()
-        self.simulation = self.make_simulation()
+        self.made = self._made()
+        self.simulation = self.made.simulation()
         self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles, as `measure` does
         self.simulation.car.measure(0)
-        self.simulation = self.make_simulation()
+        self.simulation = self.made.simulation()
         limits = (0.1, 3600.0)
         self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
         self.start_time_out = declare(
@@ -63,23 +66,28 @@ class SimulatorNode(BaseNode):
         name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
         self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
 
-    def _simulation(self) -> Callable[[], Simulation]:
-        """Declare the parameters of drive and car; gives what places the car at its start."""
+    def _made(self) -> Configuration:
+        """Declare the parameters of drive and car, and load what they name."""
         scenario = declare_scenario(self)
         vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
         friction = declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
         name = declare(self, "noise", "", "of the measurement: shipped one, or YAML file")
         seed = declare(self, "seed", 0, "of the noise", (0, 2**31 - 1))
-        options: dict[str, Any] = {
-            "friction": None if friction < 0 else friction,
-            "noise": load(MeasurementNoise, find("noise", name)) if name else None,
-        }
-        return lambda: Simulation(vehicle, scenario, rng=np.random.default_rng(seed), **options)
+        return Configuration(
+            vehicle,
+            scenario,
+            friction=None if friction < 0 else friction,
+            noise=load(MeasurementNoise, find("noise", name)) if name else None,
+            seed=seed,
+            lock_step=self.lock_step,
+        )
 
     def _publish_and_subscribe(self) -> None:
         self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         self.wind = self.create_publisher(Vector3Stamped, ros.WIND, ros.RELIABLE)
         self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
+        self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
+        self.configurations.publish(String(data=to_yaml(self.made)))
         if self.lock_step:
             self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
         self.peers = [
@@ -156,7 +164,7 @@ class SimulatorNode(BaseNode):
         due_ns = self.now_ns - self.stamp_ns
         if due_ns < 0:
             self.get_logger().warning("time went backwards: the car is at its start again")
-            self.simulation, self.start_ns = self.make_simulation(), self.now_ns
+            self.simulation, self.start_ns = self.made.simulation(), self.now_ns
         elif due_ns >= STEP_NS:
             self.check_silence()
             self.move(due_ns // STEP_NS * STEP_NS)
@@ -207,14 +215,27 @@ class SimulatorNode(BaseNode):
         """Report health once a second; in lock-step not before the time begins."""
         if self.lock_step and not self.state:
             return
-        waiting = "" if self.lock_step else " and ".join(self.unanswered())
         values = {
             "elapsed": self.simulation.elapsed_ns / NANOSECONDS,
             "duration": self.simulation.scenario.duration,
             "speed": float(self.simulation.car.state[3]),
         }
         stamp_ns = self.stamp_ns if self.lock_step else self.now_ns
-        self.report(stamp_ns, f"waiting for {waiting}" if waiting else "", values)
+        missing = "" if self.lock_step else self.missing()
+        if missing and not self.unanswered():
+            self.get_logger().warning(missing, throttle_duration_sec=5.0)
+        self.report(stamp_ns, missing, values)
+
+    def missing(self) -> str:
+        """Say, in real time, whose answers the car does without."""
+        if unanswered := self.unanswered():
+            return f"the car waits at its start for {' and '.join(unanswered)}"
+        silent = {
+            topic: (self.now_ns - answer.stamp_ns) / NANOSECONDS
+            for topic, answer in self.answers.items()
+        }
+        said = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > SILENCE]
+        return f"{' and '.join(said)}: the car goes on under the last one" if said else ""
 
 
 def main() -> int:

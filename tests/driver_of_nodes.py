@@ -1,0 +1,131 @@
+"""Who manages a controller by its services, drives it along a circle, and hears what it says."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.controller_node import ControllerNode
+from tests.ros_nodes import add, spin_until
+
+CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])
+LOST_ANSWER = 3.0
+"""Wall time after which a service is called again [s]."""
+OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
+
+
+class Driver(Node):
+    """Manages a controller by its services, gives it a drive, and hears what it says."""
+
+    node: ControllerNode
+
+    def __init__(self, executor: SingleThreadedExecutor, *nodes: ControllerNode) -> None:
+        """Join the graph, together with the controller where it runs in this process."""
+        super().__init__("driver")
+        self.executor_of_all = executor
+        for self.node in nodes:
+            add(executor, self.node)
+        self.commands: list[JointState] = []
+        self.stops: list[bool] = []
+        self.made: list[str] = []
+        self.first_ns = self.now_ns
+        self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
+        self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
+        self.create_subscription(
+            JointState, ros.STEERING_COMMAND, self.commands.append, ros.COMMAND
+        )
+        self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop, ros.LATCHED)
+        self.create_subscription(String, "controller/configuration", self.on_made, ros.LATCHED)
+        self.paths.publish(ros.path_message(CIRCLE, self.first_ns))
+        self.changing = self.create_client(ChangeState, "controller/change_state")
+        self.asking = self.create_client(GetState, "controller/get_state")
+        add(executor, self)
+
+    @property
+    def now_ns(self) -> int:
+        """Time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def on_stop(self, message: Bool) -> None:
+        """Note a request."""
+        self.stops.append(message.data)
+
+    def on_made(self, message: String) -> None:
+        """Note a configuration."""
+        self.made.append(message.data)
+
+    def answer(self, client: Any, request: Any) -> Any:
+        """Call a service; again where the answer is lost, as the node did not know us yet."""
+        spin_until(self.executor_of_all, client.service_is_ready)
+        futures = [client.call_async(request)]
+        until = time.monotonic() + LOST_ANSWER
+
+        def is_answered() -> bool:
+            nonlocal until
+            if time.monotonic() > until:
+                futures.append(client.call_async(request))
+                until += LOST_ANSWER
+            return any(future.done() for future in futures)
+
+        spin_until(self.executor_of_all, is_answered)
+        return next(future.result() for future in futures if future.done())
+
+    def change(self, transition: int) -> bool:
+        """Ask for a transition; tells whether it succeeded."""
+        self.state()  # once that is answered, the node knows this client as well
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.answer(self.changing, request).success)
+
+    def state(self) -> str:
+        """Ask for the state."""
+        return str(self.answer(self.asking, GetState.Request()).current_state.label)
+
+    def drive(self) -> VehicleState:
+        """Publish a state on the circle, at 9 m/s, as old as the test."""
+        s = 9.0 * (self.now_ns - self.first_ns) / NANOSECONDS % 80.0
+        x, y, yaw = 30.0 * np.sin(s / 30.0), 30.0 - 30.0 * np.cos(s / 30.0), s / 30.0
+        state = VehicleState(self.now_ns, float(x), float(y), float(yaw), 9.0, 0.0, 0.3)
+        self.odom.publish(ros.odometry_message(state))
+        return state
+
+    def drive_until(self, condition: Callable[[], bool]) -> None:
+        """Publish states until a condition holds."""
+
+        def driven() -> bool:
+            self.drive()
+            return condition()
+
+        spin_until(self.executor_of_all, driven)
+
+    def drive_for(self, commands: int) -> list[float]:
+        """Drive until that many more commands have come; gives their angles."""
+        known = len(self.commands)
+        self.drive_until(lambda: len(self.commands) >= known + commands)
+        return [message.position[0] for message in self.commands[known:]]
+
+    def topics(self) -> set[str]:
+        """Give the topics on which the controller publishes."""
+        return {each.topic_name for each in self.node.publishers} & OURS
+
+
+def largest_step(angles: list[float]) -> float:
+    """Give the largest change from one command to the next [rad]."""
+    return float(np.abs(np.diff(angles)).max())
+
+
+def set_parameter(node: ControllerNode, name: str, value: Any) -> None:
+    """Set a parameter as a service call would; it has to succeed."""
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert result.successful, result.reason
