@@ -169,7 +169,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
     route = {key: given[key] for key in Route._fields}
     control = {key: given[key] for key in ("controller", "settings", "gain_table", "guard")}
-    control["static_path"] = True  # the planner publishes it once
+    control["static_path"] = not given["faults"]  # published once, or anew by the injector
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
