@@ -26,7 +26,7 @@ from ampc_ros.model import Vehicle
 from ampc_ros.preview import PreviewMpc
 from ampc_ros.programme import Move, Tick, plan, problem, scratch_numbers
 from ampc_ros.qp import SOLVED, Qp
-from ampc_ros.small_matrices import Scratch, make_scratch
+from ampc_ros.small_matrices import Scratch, make_scratch, vector
 from launch_scripts.fleet import STEERING
 from launch_scripts.fleet_rows import Entry, prepare, run
 from sim_vehicle.closed_loop import Simulation
@@ -116,10 +116,10 @@ def plan_often(
     times: int,
 ) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    memory, move, unseen = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0), np.zeros(0)
+    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
     for _ in range(times):
         memory.used[0] = 0
-        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), unseen, memory)
+        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), vector(memory, 0), memory)
     return move.Delta_u, move.status
 
 

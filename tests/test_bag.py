@@ -104,7 +104,8 @@ def test_a_contract_topic_of_another_type_is_refused_in_one_line(tmp_path: Path)
     )
     with pytest.raises(ValueError, match=rf"^\S*{re.escape(complaint)}$"):
         list(read(tmp_path / "bag", ["/car/odom"]))
-    with pytest.raises(ValueError, match=re.escape(complaint)):
+    shorter = "bag: /car/odom holds std_msgs/msg/Float64, not nav_msgs/msg/Odometry"
+    with pytest.raises(ValueError, match=rf"^\S*{re.escape(shorter)}$"):
         read_drive(tmp_path / "bag", "/car")
     assert len(list(read(tmp_path / "bag"))) == 1
 

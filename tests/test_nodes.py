@@ -17,6 +17,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -365,7 +366,7 @@ def compiled_signatures() -> dict[str, int]:
 
 
 MET = [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 12.0), (-3.0, 12.0), (-3.0, 9.0)]
-"""Lateral position [m] and speed [m/s], a second apart."""
+"""Lateral position [m] and speed [m/s], a second apart; the last ones go on at ticks."""
 
 
 def compiled_within_ticks(controller: str) -> dict[str, int]:
@@ -379,8 +380,11 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
         steerer.on_path(path())
         rungs: set[float] = set()
         for tick in range(16):
-            y, v_x = MET[min(tick, len(MET) - 1)]
-            message = odometry(NANOSECONDS * (1 + tick), x=9.0 * tick, y=y, v_x=v_x)
+            last = min(tick, len(MET) - 1)
+            seconds, (y, v_x) = 1 + last + (tick - last) / 10, MET[last]
+            stamp_ns = round(seconds * NANOSECONDS)
+            steerer.get_clock().set_ros_time_override(Time(nanoseconds=stamp_ns))
+            message = odometry(stamp_ns, x=9.0 * seconds, y=y, v_x=v_x)
             steerer.on_odometry(message)
             steerer.on_steering(ros.joint_message(0, 0.0, 0.0))
             steerer.on_timer()
@@ -393,7 +397,8 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
             steerer.supervisor.ladder.qp_fault = tick > len(MET)
         assert {OPTIMAL, SHIFTED_PLAN, FEED_FORWARD} <= rungs
         assert steerer.set_parameters([Parameter("guard", value="track")])[0].successful
-        steerer.on_odometry(odometry(20 * NANOSECONDS, x=171.0, y=-3.0))
+        stamp_ns += TICK_NS
+        steerer.on_odometry(odometry(stamp_ns, x=9.0 * stamp_ns / NANOSECONDS, y=-3.0))
         steerer.on_timer()
         assert steerer.decision
         assert steerer.decision.supervision.configuration == 2
