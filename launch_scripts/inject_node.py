@@ -23,8 +23,6 @@ from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.fault_messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults import Injector, load_plan
 
-FAULTY = "faulty/"
-"""Before the names of what the controller gets."""
 PERIOD = 0.005
 """From one look at what is late to the next [s]."""
 PATH_PERIOD = 0.5
@@ -65,7 +63,7 @@ class InjectorNode(BaseNode):
     def output(self, topic: str) -> Any:
         """Offer what the controller gets."""
         qos = ros.LATCHED if topic == PATH else ros.RELIABLE
-        return self.create_publisher(TYPES[topic], FAULTY + topic, qos)
+        return self.create_publisher(TYPES[topic], ros.FAULTY + topic, qos)
 
     @property
     def since_ns(self) -> int:

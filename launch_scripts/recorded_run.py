@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import read
+from ampc_msgs_config.bag_columns import namespace_of
+from ampc_msgs_config.bag_topics import topics
 from ampc_msgs_config.config import parsed
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
@@ -111,10 +113,14 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     Raises:
         ValueError: Names the bag and what it lacks.
     """
-    prefix = steered_namespace(bag) if namespace is None else namespace.rstrip("/")
-    found, notes = collected(bag, prefix), list[str]()
+    announced = topics(bag)
+    prefix = namespace_of(bag, announced) if namespace is None else namespace.rstrip("/")
+    heard = {name: f"{prefix}/{name}" for name in INPUTS}
+    faulty = {name: f"{prefix}/{ros.FAULTY}{name}" for name in INPUTS}
+    heard |= {name: topic for name, topic in faulty.items() if topic in announced}
+    found, notes = collected(bag, heard), list[str]()
     if not found.paths.found:
-        raise ValueError(f"{bag}: holds no message on {prefix}/{ros.REFERENCE_PATH}")
+        raise ValueError(f"{bag}: holds no message on {heard[ros.REFERENCE_PATH]}")
     if not found.ticks:
         notes.append("no controller/tick: taken as a drive in lock-step, in which nothing is late")
     answers = found.ticks or found.commands
@@ -127,24 +133,17 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     return RecordedRun(bag, ticks, made, version, "".join(found.texts[SIMULATOR][-1:]), notes)
 
 
-def steered_namespace(bag: File) -> str:
-    """Give the namespace of the first command.
+def collected(bag: File, heard: Mapping[str, str]) -> Collected:
+    """Read what a run consists of; messages that the controller must have refused are left out.
 
-    Raises:
-        ValueError: There is none.
+    Args:
+        bag: Folder of the bag, or one MCAP file.
+        heard: The topic that the controller heard, by name of the contract.
     """
-    for entry in read(bag):
-        if entry.topic.endswith(f"/{ros.STEERING_COMMAND}"):
-            return entry.topic.removesuffix(f"/{ros.STEERING_COMMAND}")
-    raise ValueError(f"{bag}: holds no message on {ros.STEERING_COMMAND}")
-
-
-def collected(bag: File, prefix: str) -> Collected:
-    """Read what a run consists of; messages that the controller must have refused are left out."""
-    topics = {f"{prefix}/{name}": name for name in INPUTS}
+    names = {topic: name for name, topic in heard.items()}
     found = Collected(Stamped(), Stamped(), [], [], defaultdict(list))
-    for place, entry in enumerate(read(bag, topics)):
-        name, message = topics[entry.topic], entry.message
+    for place, entry in enumerate(read(bag, names)):
+        name, message = names[entry.topic], entry.message
         try:
             keep(found, name, place, message)
         except ValueError:

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from ampc_msgs_config import ros
 from ampc_msgs_config.bag import is_complete
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
@@ -36,11 +37,7 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 START_TIME_OUT = 180.0
 """Wall time for the nodes to find each other, which includes compiling after an update [s]."""
-FAULTY = {
-    "odom": "nav_msgs/msg/Odometry",
-    "steering_state": "sensor_msgs/msg/JointState",
-    "reference_path": "nav_msgs/msg/Path",
-}
+FAULTY = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """What the controller gets from the injector where there are faults."""
 BEREAVEMENT = 1.5
 """Wall time in which the others show, in real time, what they do without a lost node [s]."""
@@ -173,9 +170,9 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
-    renamed = {topic: f"faulty/{topic}" for topic in FAULTY} if given["faults"] else {}
+    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if given["faults"] else {}
     if given["faults"]:
-        record["topics"] = [f"{renamed[topic]}:{kind}" for topic, kind in FAULTY.items()]
+        record["topics"] = [f"{new}:{ros.TYPES[topic]}" for topic, new in renamed.items()]
     nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
     nodes.start("planner", "ampc_ros.planner_node", common | route)
     if given["faults"]:

@@ -16,7 +16,7 @@ from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
 from launch_scripts.fault_messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults import load_plan
-from launch_scripts.inject_node import FAULTY, InjectorNode, packed, unpacked
+from launch_scripts.inject_node import InjectorNode, packed, unpacked
 from launch_scripts.start import FAULTY as RENAMED
 from launch_scripts.start import main as start
 from sim_vehicle.simulator_node import SimulatorNode
@@ -63,7 +63,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Listener:
     folder = tmp_path_factory.mktemp("faults")
     for name, text in (("road.yaml", SCENARIO), ("faults.yaml", FAULTS)):
         (folder / name).write_text(text, encoding="utf-8")
-    renamed = [f"controller:{topic}:={FAULTY}{topic}" for topic in RENAMED]
+    renamed = [f"controller:{topic}:={ros.FAULTY}{topic}" for topic in RENAMED]
     arguments = [text for each in renamed for text in ("-r", each)]
     given = {"scenario": folder / "road.yaml", "faults": folder / "faults.yaml"}
     with ros_context(*arguments, **given) as executor:
@@ -124,7 +124,7 @@ def test_the_topics_of_injector_recorder_and_controller_are_the_same() -> None:
         node = InjectorNode()
         add(executor, node)
         offered = {each.topic_name for each in node.publishers}
-        assert offered >= {f"/{FAULTY}{topic}" for topic in RENAMED}
+        assert offered >= {f"/{ros.FAULTY}{topic}" for topic in RENAMED}
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 
+from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.scenario import Scenario, SpeedPlanner, load_scenario
@@ -19,6 +21,8 @@ from launch_scripts.recorded_run import read_run
 from launch_scripts.repetition import differences, repeat, with_value
 from launch_scripts.replay import main
 from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.configuration import Configuration as SimulatedCar
+from sim_vehicle.configuration import to_yaml
 from sim_vehicle.parameters import load_vehicle
 from tests.recorded_drives import Bag
 
@@ -90,6 +94,30 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[fl
     return rungs
 
 
+def drive_with_a_simulator(folder: Path, *, faulty: bool) -> None:
+    """Record a drive whose car is in the bag, and whose state may be wrong where it is heard."""
+    car = SimulatedCar(VEHICLE, scenario_of("sc1"))
+    supervisor = Supervisor(configuration(Choices(static_path=True)))
+    simulation, planner = car.simulation(), SpeedPlanner(car.scenario)
+    with Bag(folder) as bag:
+        bag.configuration(supervisor)
+        bag.add(f"/simulator/{ros.CONFIGURATION}", String(data=to_yaml(car)))
+        bag.path(car.scenario.points, NANOSECONDS)
+        supervisor.take_path(car.scenario.points, NANOSECONDS, NANOSECONDS)
+        for tick in range(1, 61):
+            state = bag.state(simulation.car.measure(NANOSECONDS + simulation.elapsed_ns))
+            speed = planner.target_speed(state)
+            if faulty:
+                message = ros.odometry_message(state._replace(y=state.y + 0.1))
+                bag.add(f"/{ros.FAULTY}{ros.ODOM}", message)
+                state = ros.vehicle_state(message)
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            bag.decision(decision, tick)
+            simulation.advance(decision.command.steering, speed, TICK_NS)
+
+
 def nothing(_: Supervisor, __: int) -> None:
     """Disturb nobody."""
 
@@ -141,6 +169,29 @@ def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
     rungs = drive_in_real_time(tmp_path / "bag", disturb)
     assert max(rungs) > 0  # the states that were lost are felt
     assert_same_bits(tmp_path / "bag")
+
+
+def test_a_run_with_an_injector_replays_what_the_controller_heard(tmp_path: Path) -> None:
+    drive_with_a_simulator(tmp_path / "bag", faulty=True)
+    assert_same_bits(tmp_path / "bag")
+
+
+def test_the_loop_is_closed_from_the_bag_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive_with_a_simulator(tmp_path / "bag", faulty=False)
+
+    def errors(*arguments: str) -> list[str]:
+        assert main([str(tmp_path / "bag"), "--close-loop", *arguments]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        row = next(line for line in lines if "RMS cross-track" in line)
+        return [cell.strip() for cell in row.split("│")[2:4]]
+
+    recorded, same = errors()
+    assert float(same) == pytest.approx(float(recorded), rel=1e-3)
+    before, other = errors("--controller", "pure_pursuit")
+    assert before == recorded
+    assert float(other) > 10 * float(recorded)
 
 
 def test_another_process_replays_the_same_bits(tmp_path: Path) -> None:
