@@ -65,7 +65,7 @@ def replayed(bag: Path, environment: Mapping[str, str]) -> tuple[str, str]:
     """Replay in a process of its own; gives whether all commands agree, and how fast it was."""
     command = [sys.executable, "-m", "launch_scripts.replay", str(bag)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    speed = re.search(r"times real time\D*(\d+)", done.stdout)
+    speed = re.search(r"times real time[^\d]*(\d+)", done.stdout)
     return "NOT ALL" if done.returncode else "all", speed[1] if speed else "-"
 
 

@@ -27,7 +27,7 @@ from ampc_msgs_config.metrics import Drive, evaluate
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
-from ampc_ros.supervisor import Supervisor, rehearse
+from ampc_ros.supervisor import Decision, Supervisor, rehearse
 from launch_scripts.recorded_run import RecordedRun, RecordedTick, read_run
 from launch_scripts.repetition import (
     Change,
@@ -67,13 +67,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Repeat, compare, show; gives the exit code."""
     chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
     try:
-        changes = changes_of(chosen)
+        changes, begin = changes_of(chosen), time.perf_counter()
         run = read_run(chosen.bag, chosen.namespace)
+        reading = time.perf_counter() - begin
         made = changed(made_of(run, chosen), changes)
         say(run, console)
         if chosen.close_loop:
             return close_loop(run, made[min(made)], console)
-        return repeat_and_compare(run, made, bool(changes), chosen.tolerance, console)
+        decisions, took = repeated(run, made, is_changed=bool(changes))
+        code = compare(run, decisions, chosen.tolerance, reading + took, console)
+        if changes:
+            console.print("open loop: each tick answers the recorded situation and angle in force")
+        return 0 if changes else code
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG_SET_UP
@@ -113,35 +118,40 @@ def say(run: RecordedRun, console: Console) -> None:
         console.print(f"note: {note}", markup=False)
 
 
-def repeat_and_compare(
-    run: RecordedRun,
-    made: dict[int, Configuration],
-    is_changed: bool,
-    tolerance: float,
-    console: Console,
-) -> int:
-    """Replay a run; gives the exit code."""
+def repeated(
+    run: RecordedRun, made: dict[int, Configuration], *, is_changed: bool
+) -> tuple[list[Decision], float]:
+    """Replay a run; gives what was decided at each tick, and the time that it took [s]."""
     for each in made.values():
-        rehearse(each)
+        rehearse(each)  # what has to be compiled does not count
     begin = time.perf_counter()
     decisions = list(repeat(run.ticks, made, synchronised=is_changed))
-    took = time.perf_counter() - begin
+    return decisions, time.perf_counter() - begin
+
+
+def summary(run: RecordedRun, decisions: Sequence[Decision], differ: int, took: float) -> Table:
+    """Lay out how far a replay is from the recording, and how fast it was."""
+    pairs = zip(run.ticks, decisions, strict=True)
+    off = np.degrees([tick.values["steering"] - d.supervision.steering for tick, d in pairs])
+    length = (run.ticks[-1].now_ns - run.ticks[0].now_ns) / NANOSECONDS
+    table = Table(title=Text(f"replay of {run.bag}"), title_justify="left")
+    for heading in ("quantity", "value", "unit"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    table.add_row("ticks", f"{len(run.ticks)}", "")
+    table.add_row("ticks that differ", f"{differ}", "")
+    table.add_row("difference of the angle, RMS", f"{np.sqrt(np.mean(off**2)):.3g}", "deg")
+    table.add_row("difference of the angle, largest", f"{np.abs(off).max():.3g}", "deg")
+    table.add_row("times real time, reading included", f"{length / took:.0f}", "")
+    return table
+
+
+def compare(
+    run: RecordedRun, decisions: Sequence[Decision], tolerance: float, took: float, console: Console
+) -> int:
+    """Compare a replay with the recording, and show the first difference; gives the exit code."""
     pairs = list(zip(run.ticks, decisions, strict=True))
     found = [differences(tick, decision, tolerance) for tick, decision in pairs]
-    off = [abs(t.values["steering"] - d.supervision.steering) for t, d in pairs]
-    table = Table("quantity", "value", title=f"replay of {run.bag}", title_justify="left")
-    length = (run.ticks[-1].now_ns - run.ticks[0].now_ns) / NANOSECONDS
-    table.add_row("ticks", f"{len(pairs)}")
-    table.add_row("ticks that differ", f"{sum(map(bool, found))}")
-    table.add_row(
-        "difference of the angle, RMS [deg]", f"{np.degrees(np.sqrt(np.mean(np.square(off)))):.3g}"
-    )
-    table.add_row("difference of the angle, largest [deg]", f"{np.degrees(max(off)):.3g}")
-    table.add_row("times real time", f"{length / took:.0f}")
-    console.print(table)
-    if is_changed:
-        console.print("open loop: each tick answers the recorded situation from the recorded angle")
-        return 0
+    console.print(summary(run, decisions, sum(map(bool, found)), took))
     for (tick, _), difference in zip(pairs, found, strict=True):
         if difference:
             show(tick, tick.now_ns - run.ticks[0].now_ns, difference, console)
