@@ -5,7 +5,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -186,20 +185,24 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
     """Run one node until it ends itself, or is told to; gives the exit code of the process.
 
     A set-up that is wrong ends in one line on stderr and exit code 2. Signals are handled here:
-    rclpy would end the middleware before the last words are delivered.
+    rclpy would end the middleware before the last words are delivered. A set-up, which may compile
+    for long, is interrupted; a node that runs ends after the callback it is in, as an exception at
+    any place of it would not always arrive as one.
     """
     signals: list[int] = []
+    begun: list[BaseNode] = []
 
     def on_signal(number: int, _: Any) -> None:
         signals.append(number)
-        if len(signals) == 1:
+        if not begun and len(signals) == 1:
             raise KeyboardInterrupt  # which compiling may swallow
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     try:
         _init()
-        return _spin(_made(make_node), signals)
+        begun.append(_made(make_node))
+        return _spin(begun[0], signals)
     except KeyboardInterrupt:
         return 0
     except (ValueError, ParameterException) as error:
@@ -230,9 +233,8 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     gc.collect()
     gc.freeze()  # what lives now lives on: a full collection would only delay a tick
     try:
-        with suppress(KeyboardInterrupt):
-            while not signals:
-                executor.spin_once(timeout_sec=0.1)
+        while not signals:
+            executor.spin_once(timeout_sec=0.1)
         return 0
     except SystemExit as end:
         return int(end.code or 0)
