@@ -14,6 +14,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from numba.core.dispatcher import Dispatcher
 from rcl_interfaces.msg import ParameterType
+from rclpy.clock import ROSClock
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -376,14 +377,15 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
         nodes = ControllerNode(), PlannerNode(), SimulatorNode()
         add(executor, *nodes)
         steerer, planner, simulator = nodes
-        before = compiled_signatures()
+        clock, before = steerer.get_clock(), compiled_signatures()
+        assert isinstance(clock, ROSClock)
         steerer.on_path(path())
         rungs: set[float] = set()
         for tick in range(16):
             last = min(tick, len(MET) - 1)
             seconds, (y, v_x) = 1 + last + (tick - last) / 10, MET[last]
             stamp_ns = round(seconds * NANOSECONDS)
-            steerer.get_clock().set_ros_time_override(Time(nanoseconds=stamp_ns))
+            clock.set_ros_time_override(Time(nanoseconds=stamp_ns))
             message = odometry(stamp_ns, x=9.0 * seconds, y=y, v_x=v_x)
             steerer.on_odometry(message)
             steerer.on_steering(ros.joint_message(0, 0.0, 0.0))
