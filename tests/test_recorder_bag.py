@@ -218,7 +218,7 @@ def test_a_full_disk_ends_the_recorder_in_one_line_and_what_was_recorded_stays(
             number += 1
             time.sleep(0.001)
         said, _ = recorder.communicate()
-    complaint = f"recorder: {tmp_path / 'bag'}: recording ends: File too large; what was written"
+    complaint = f"error: {tmp_path / 'bag'}: recording ends: File too large; what was written"
     assert recorder.returncode == 1
     assert said.splitlines()[-1].startswith(complaint)
     found = list(read(tmp_path / "bag"))
@@ -260,6 +260,6 @@ def test_a_second_recorder_in_the_same_folder_overwrites_nothing(tmp_path: Path)
     second = popen_recorder(f"output:={tmp_path / 'bag'}")
     said, _ = second.communicate(timeout=60)
     complaint = f"{tmp_path / 'bag'}: holds a bag already, and bags are never overwritten"
-    assert (second.returncode, said) == (1, f"recorder: {complaint}\n")
+    assert (second.returncode, said) == (2, f"error: {complaint}\n")
     assert stop(recorder, signal.SIGINT)[0] == 0
     assert not list(read(tmp_path / "bag"))

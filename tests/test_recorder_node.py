@@ -204,5 +204,5 @@ def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:
     }
     for parameter, complaint in complaints.items():
         said, _ = recorders[parameter].communicate(timeout=20)
-        assert recorders[parameter].returncode == 1
-        assert said == f"recorder: {complaint}\n"
+        assert recorders[parameter].returncode == 2
+        assert said == f"error: {complaint}\n"

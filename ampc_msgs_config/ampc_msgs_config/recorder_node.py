@@ -163,8 +163,7 @@ class Recorder(Node):
         """Write one message, the first of a topic together with its quality of service."""
         topic = arrival.topic
         if topic not in self.recording.topics:
-            publishers = self.get_publishers_info_by_topic(topic)
-            offers = [publisher.qos_profile for publisher in publishers]
+            offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
             subscription = self.inputs[topic]
             type_name = type_name_of(subscription.msg_type)
             self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
@@ -236,11 +235,13 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.append(number))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    code = 2  # the set-up is wrong
     try:
-        record(Recorder(), signals)
+        recorder, code = Recorder(), 1
+        record(recorder, signals)
     except (ValueError, OSError, ParameterException) as error:
-        print(f"recorder: {error}", file=sys.stderr)
-        return 1
+        print(f"error: {error}", file=sys.stderr)
+        return code
     finally:
         rclpy.try_shutdown()
     return 0
