@@ -27,10 +27,8 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.types import OK, WARN, VehicleState
 
-OK, WARN, ERROR, STALE = range(4)
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """The executor looks at each event of each publisher at every turn: costs more than a tick."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -36,7 +36,6 @@ HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
-
 CONTRACT: dict[str, Any] = {
     name: message_class(type_) for name, type_ in TYPES.items() if name != ros.MARKERS
 }
