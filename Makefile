@@ -45,10 +45,10 @@ bench:  ## set up, then measure against other solvers and tools (about 10 min), 
 	@$(PYTHON) launch_scripts/bootstrap.py --bench
 	@$(VENV_PYTHON) launch_scripts/bench.py
 
-lock:  ## write lock/ after a change of requirements*.txt; UPGRADE=1 takes newest versions
+lock: dev  ## set up, then write lock/ after a change of requirements*.txt; UPGRADE=1 takes newest versions
 	@$(VENV_PYTHON) -m launch_scripts.lock $(if $(UPGRADE),--upgrade)
 
-audit: dev  ## ask the public database of vulnerabilities about every package in lock/
+audit: dev  ## set up, then ask the public database of vulnerabilities about every package in lock/
 	@$(VENV_PYTHON) -m launch_scripts.audit
 
 clean:  ## remove everything that make made; runs/ stays

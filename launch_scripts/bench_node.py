@@ -32,6 +32,8 @@ CHOICES = {
 """Settings and gains by rate [Hz]."""
 START_TIME_OUT = 180.0
 """Wall time for the two processes to find each other, which includes compiling [s]."""
+SECONDS = (0.1, 3600.0)
+"""Shortest and longest measurement [s]."""
 WIDTH = 130
 """Of the table, also where the terminal is narrower."""
 SPIN = "while True: pass"
@@ -157,6 +159,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--busy", type=int, nargs="+", default=[0, 1], help="busy cores")
     parser.add_argument("--output", type=Path, default=Path("bench_node.json"))
     chosen = parser.parse_args(arguments)
+    low, high = SECONDS
+    if not low <= chosen.seconds <= high:
+        parser.error(f"--seconds {chosen.seconds:g}: must lie in [{low:g}, {high:g}]")
     os.environ.update(ros_environment())
     rows = measure_node(chosen.rates, chosen.seconds, chosen.busy)
     Console(width=WIDTH).print(table(rows))

@@ -177,10 +177,7 @@ def judge(label: str, simulation: Watched, finished: Drive) -> Cell:
     time = ticks(finished)
     swing = [state.v_x * state.yaw_rate for state in finished.states]
     measures = evaluate(finished, path, to_cg, float(time[1]))
-    measures |= {
-        "p95_error_m": float(np.percentile(np.abs(error), 95)),
-        "max_lateral_acceleration": float(np.abs(swing).max()),
-    }
+    measures["max_lateral_acceleration"] = float(np.abs(swing).max())
     numbers = {quantity.key: measures[quantity.key] for quantity in QUANTITIES.values()}
     gone = ~(np.abs(error) <= LOST)
     lost_after = float(time[np.argmax(gone)]) if gone.any() else math.nan

@@ -9,9 +9,9 @@ from launch_scripts.bench_report import machine
 from launch_scripts.compare_cells import QUANTITIES, Cell, Quantity, best_of
 from launch_scripts.compare_figure import draw_matrix, draw_road, styles
 from launch_scripts.compare_table import Comparison, content, markdown, remarks, shared, short
+from launch_scripts.page_html import STYLE, Html, figure, items, paragraph, table, text
 from launch_scripts.reproduce_cases import LOST
 from launch_scripts.reproduce_figures import save_png, svg
-from launch_scripts.reproduce_html import STYLE, Html, figure, items, paragraph, table, text
 
 TEMPLATE = Path(__file__).with_name("compare.html")
 

@@ -58,11 +58,10 @@ def margin(driven: Driven, limits: GuardLimits) -> Margin:
     return Margin(tuple(np.max(shares, axis=0).tolist()), clipped, len(steering), guard.count)
 
 
-def trials() -> list[Trial]:
-    """Give the shipped scenarios, and the recorded roads where they are, for both cars."""
-    roads = [str(file.relative_to(DATA)) for file in sorted(DATA.glob("*/*.csv"))]
-    names = (*ORDINARY_DRIVES, *roads, *DRIVES_AT_THE_LIMIT)
-    return [Trial(name, car) for name, car in product(names, CARS)]
+def names() -> tuple[str, ...]:
+    """Give the shipped scenarios, and the recorded roads where they are."""
+    roads = (str(file.relative_to(DATA)) for file in sorted(DATA.glob("*/*.csv")))
+    return (*ORDINARY_DRIVES, *roads, *DRIVES_AT_THE_LIMIT)
 
 
 def cells(trial: Trial, found: Margin) -> tuple[str, ...]:
@@ -83,19 +82,23 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     known = ", ".join(shipped("guards"))
     parser.add_argument("--guard", default="road", help=f"YAML file, or {known}; %(default)s")
-    parser.add_argument("--only", nargs="+", help="drives; default: all")
+    parser.add_argument("--only", nargs="+", help="drives; default: all", choices=names())
     return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Drive all, print the table."""
     chosen, console = options(arguments), Console(highlight=False)
-    limits = load(GuardLimits, find("guards", chosen.guard))
+    try:
+        limits = load(GuardLimits, find("guards", chosen.guard))
+    except ValueError as error:
+        console.print(f"error: {error}", markup=False, soft_wrap=True)
+        return 2
     console.width = max(console.width, WIDTH)
     table = Table(*HEADINGS, box=SIMPLE_HEAD, title=f"shares of the limits of {chosen.guard}")
-    for trial in trials():
-        if not chosen.only or trial.scenario in chosen.only:
-            table.add_row(*cells(trial, margin(run(trial, "preview"), limits)))
+    for name, car in product(chosen.only or names(), CARS):
+        trial = Trial(name, car)
+        table.add_row(*cells(trial, margin(run(trial, "preview"), limits)))
     console.print(table)
     return 0
 

@@ -70,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for the bags (a temporary one)")
     chosen = parser.parse_args(arguments)
+    if chosen.kills < 1:
+        parser.error(f"--kills {chosen.kills}: must be at least 1")
     os.environ.update(ros_environment())
     with tempfile.TemporaryDirectory() as temporary:
         kills = list(prove(chosen.keep or Path(temporary), chosen.kills, chosen.seed))

@@ -17,6 +17,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from ampc_msgs_config.config import find
+
 SCENARIOS = (
     "sc1",
     "sc1_falcone",
@@ -39,6 +41,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--real-time", action="store_true", help="record in real time")
     parser.add_argument("--output", type=Path, default=None, help="folder of the drives")
     chosen, console = parser.parse_args(arguments), Console(highlight=False)
+    try:
+        for name in chosen.scenarios:
+            find("scenarios", name)
+    except ValueError as error:
+        parser.error(str(error))
     table = Table("scenario", *WAYS, title="commands that come out again, bit for bit")
     held = True
     with tempfile.TemporaryDirectory() as scratch:

@@ -32,10 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         print("\n".join(recover(chosen.bag, output)))
     except ValueError as error:
-        print(f"recover: {error}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"recover: {output}: cannot be written: {error.strerror}", file=sys.stderr)
+        print(f"error: {output}: cannot be written: {error.strerror}", file=sys.stderr)
         return 2
     return 0
 

@@ -27,7 +27,8 @@ from ampc_msgs_config.metrics import Drive, evaluate
 from ampc_msgs_config.path_making import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
-from ampc_ros.supervisor import Decision, Supervisor, rehearse
+from ampc_ros.rehearsal import rehearse
+from ampc_ros.supervisor import Decision, Supervisor
 from launch_scripts.recorded_run import RecordedRun, RecordedTick, read_run
 from launch_scripts.repetition import (
     Change,

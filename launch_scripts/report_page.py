@@ -15,6 +15,7 @@ from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.types import RUNGS
+from launch_scripts.page_html import Html, items, paragraph
 from launch_scripts.report_drive import Judged
 from launch_scripts.report_events import PLOT as EVENTS
 from launch_scripts.report_events import events_panel
@@ -29,7 +30,6 @@ from launch_scripts.report_tables import (
     summary_table,
     verdict_table,
 )
-from launch_scripts.reproduce_html import Html, items, paragraph
 
 HERE = Path(__file__).parent
 STYLES = ("page.css", "report.css")

@@ -7,10 +7,10 @@ from typing import Any
 
 import yaml
 
+from launch_scripts.page_html import Html, Part, Parts, items, num, paragraph, table, text
 from launch_scripts.report_drive import Judged
 from launch_scripts.report_lines import PALETTE
 from launch_scripts.report_summary import QUANTITIES, Verdict
-from launch_scripts.reproduce_html import Html, Part, Parts, items, num, paragraph, table, text
 
 Verdicts = Sequence[list[Verdict]]
 UNTOLD = "\u2013"

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from launch_scripts.page_html import Html, items, num, paragraph, seen, table
 from launch_scripts.reproduce_cases import CONTENDERS
-from launch_scripts.reproduce_html import Html, items, num, paragraph, seen, table
 
 TOGETHER = (
     "AMPC and classic MPC stay together at every length: no geometry gives the paper\u2019s ratio "

@@ -5,9 +5,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from launch_scripts.reproduce_cases import CONTENDERS, ROADS, SHORT
-from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, PAPER_WORDS, YES
-from launch_scripts.reproduce_html import (
+from launch_scripts.page_html import (
     STYLE,
     Html,
     Parts,
@@ -19,6 +17,8 @@ from launch_scripts.reproduce_html import (
     table,
     text,
 )
+from launch_scripts.reproduce_cases import CONTENDERS, ROADS, SHORT
+from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, PAPER_WORDS, YES
 from launch_scripts.reproduce_limits import limit_section
 from launch_scripts.reproduce_sections import pso_section, tuning_section
 from launch_scripts.reproduce_switches import switch_section

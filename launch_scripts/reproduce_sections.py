@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from launch_scripts.page_html import Html, figure, items, num, paragraph, seen, table
 from launch_scripts.reproduce_cases import SHORT
-from launch_scripts.reproduce_html import Html, figure, items, num, paragraph, seen, table
 
 WEIGHT = (
     "Below about 1 the error no longer falls: what is left belongs to the held set-point. Both of "

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from launch_scripts.page_html import Html, items, num, paragraph, table
 from launch_scripts.reproduce_cases import CONTENDERS, SHORT, SWITCHES
 from launch_scripts.reproduce_claims import PAPER
-from launch_scripts.reproduce_html import Html, items, num, paragraph, table
 
 NOT_SWITCHED = (
     "Table over speed, reference, friction and wind (4235 cells): our tables have speed and "

@@ -7,19 +7,23 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.types import (
+    ERROR,
     FEED_FORWARD,
     LIMITS,
     MODES,
     NANOSECONDS,
+    OK,
     REASONS,
     RUNGS,
     SHIFTED_PLAN,
     SLACK,
+    STALE,
     STOP,
+    WARN,
     Supervision,
     VehicleState,
 )
-from ampc_ros.health import ERROR, OK, STALE, WARN, Health, health, numbers
+from ampc_ros.health import Health, health, numbers
 from ampc_ros.received import Received
 from ampc_ros.supervisor import Decision, Supervisor
 from tests.supervised import made_for

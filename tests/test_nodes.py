@@ -377,9 +377,8 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
         nodes = ControllerNode(), PlannerNode(), SimulatorNode()
         add(executor, *nodes)
         steerer, planner, simulator = nodes
-        clock = steerer.get_clock()
+        clock, before = steerer.get_clock(), compiled_signatures()
         assert isinstance(clock, ROSClock)
-        before = compiled_signatures()
         steerer.on_path(path())
         rungs: set[float] = set()
         for tick in range(16):

@@ -23,7 +23,7 @@ from ampc_msgs_config import recorder_node, ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.bag import read
 from ampc_msgs_config.recorder_node import CONTRACT
-from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.recording import EVERYTHING, Recording
 from ampc_msgs_config.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.recover import main
@@ -95,7 +95,7 @@ def test_a_recording_that_begins_anew_replaces_what_was_written_at_once(tmp_path
 def test_a_kill_before_the_simulated_clock_starts_loses_less_than_a_second(tmp_path: Path) -> None:
     with talker() as node:
         settings = node.create_publisher(String, ros.CONFIGURATIONS[0], ros.LATCHED)
-        odom = node.create_publisher(Odometry, ros.ODOM, ros.EVERYTHING)
+        odom = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
         settings.publish(String(data="number: 1"))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         wait_for(lambda: odom.get_subscription_count() > 0)
@@ -117,8 +117,8 @@ def test_a_kill_before_the_simulated_clock_starts_loses_less_than_a_second(tmp_p
 
 def test_what_came_before_the_simulated_clock_gets_the_time_of_its_start(tmp_path: Path) -> None:
     with talker() as node:
-        odom = node.create_publisher(Odometry, ros.ODOM, ros.EVERYTHING)
-        clock = node.create_publisher(CONTRACT[ros.CLOCK], ros.CLOCK, ros.EVERYTHING)
+        odom = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
+        clock = node.create_publisher(CONTRACT[ros.CLOCK], ros.CLOCK, EVERYTHING)
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         wait_for(lambda: all(p.get_subscription_count() for p in (odom, clock)))
         publish_until_recorded(odom, sample(ros.ODOM, TICK_NS), tmp_path / "bag")
@@ -161,7 +161,7 @@ def test_transforms_place_the_car_where_odometry_does(tmp_path: Path) -> None:
     lost = sample(ros.ODOM, 2 * TICK_NS)
     lost.pose.pose.position.x = math.nan
     with talker() as node:
-        odom = node.create_publisher(Odometry, ros.ODOM, ros.EVERYTHING)
+        odom = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
         recorder = start_recorder(tmp_path / "bag")
         wait_for(lambda: odom.get_subscription_count() > 0)
         publish_until_recorded(odom, sample(ros.ODOM, 0), tmp_path / "bag")
@@ -218,7 +218,7 @@ def test_a_full_disk_ends_the_recorder_in_one_line_and_what_was_recorded_stays(
             number += 1
             time.sleep(0.001)
         said, _ = recorder.communicate()
-    complaint = f"recorder: {tmp_path / 'bag'}: recording ends: File too large; what was written"
+    complaint = f"error: {tmp_path / 'bag'}: recording ends: File too large; what was written"
     assert recorder.returncode == 1
     assert said.splitlines()[-1].startswith(complaint)
     found = list(read(tmp_path / "bag"))
@@ -260,6 +260,6 @@ def test_a_second_recorder_in_the_same_folder_overwrites_nothing(tmp_path: Path)
     second = popen_recorder(f"output:={tmp_path / 'bag'}")
     said, _ = second.communicate(timeout=60)
     complaint = f"{tmp_path / 'bag'}: holds a bag already, and bags are never overwritten"
-    assert (second.returncode, said) == (1, f"recorder: {complaint}\n")
+    assert (second.returncode, said) == (2, f"error: {complaint}\n")
     assert stop(recorder, signal.SIGINT)[0] == 0
     assert not list(read(tmp_path / "bag"))

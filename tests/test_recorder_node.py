@@ -24,6 +24,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
 from ampc_msgs_config.bag import read
 from ampc_msgs_config.recorder_node import CONTRACT, LATCHED, TRANSFORMS
+from ampc_msgs_config.recording import EVERYTHING
 from ampc_msgs_config.types import NANOSECONDS
 from tests.bag_samples import (
     TICK_NS,
@@ -102,7 +103,7 @@ def advertise(node: Node) -> dict[str, Publisher]:
     """Gives a publisher for each topic of the contract."""
     return {
         name: node.create_publisher(
-            message_type, name, ros.LATCHED if name in LATCHED else ros.EVERYTHING
+            message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
         )
         for name, message_type in CONTRACT.items()
     }
@@ -152,7 +153,7 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
 
 def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
     with talker() as node:
-        publisher = node.create_publisher(Odometry, ros.ODOM, ros.EVERYTHING)
+        publisher = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
         recorder = start_recorder(tmp_path / "bag")
         wait_for(lambda: publisher.get_subscription_count() > 0)
         until = time.monotonic() + 1.7
@@ -203,5 +204,5 @@ def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:
     }
     for parameter, complaint in complaints.items():
         said, _ = recorders[parameter].communicate(timeout=20)
-        assert recorders[parameter].returncode == 1
-        assert said == f"recorder: {complaint}\n"
+        assert recorders[parameter].returncode == 2
+        assert said == f"error: {complaint}\n"

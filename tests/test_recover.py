@@ -243,5 +243,5 @@ def test_what_is_no_bag_or_stands_in_the_way_gives_one_line(
         arguments = [part if part.startswith("--") else str(tmp_path / part) for part in given]
         assert main(arguments) == 2
         said = capsys.readouterr()
-        assert re.fullmatch(rf"recover: \S*{re.escape(complaint)}\n", said.err)
+        assert re.fullmatch(rf"error: \S*{re.escape(complaint)}\n", said.err)
         assert not said.out

@@ -11,9 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.types import ERROR, NANOSECONDS, OK, STALE, WARN
 from ampc_ros.controller_node import ControllerNode
-from ampc_ros.health import ERROR, OK, STALE, WARN
 from ampc_ros.planner_node import PlannerNode
 from sim_vehicle.simulator_node import SimulatorNode
 from tests.driver_of_nodes import Driver

@@ -12,6 +12,7 @@ import pytest
 
 from ampc_ros.gain_table import load_gain_table
 from launch_scripts.fleet_rows import Entry, drive_all
+from launch_scripts.page_html import num, table
 from launch_scripts.reproduce import main, plain, switched
 from launch_scripts.reproduce_cases import (
     FIXED_SPEED,
@@ -37,7 +38,6 @@ from launch_scripts.reproduce_claims import (
     wind_claim,
 )
 from launch_scripts.reproduce_figures import STYLE
-from launch_scripts.reproduce_html import num, table
 from launch_scripts.reproduce_search import (
     GIVEN_UP,
     dimensions,

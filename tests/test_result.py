@@ -19,9 +19,9 @@ from ampc_msgs_config.path import Array
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.recording import Recording
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
-from launch_scripts import start
 from launch_scripts.figure import draw
 from launch_scripts.result import Run, judge
+from launch_scripts.start_options import options
 from sim_vehicle.parameters import load_vehicle
 
 TICK_NS = NANOSECONDS // 10
@@ -94,10 +94,10 @@ def test_the_picture_shows_every_kind_of_path(points: Array, tmp_path: Path) -> 
 def test_what_is_not_defined_on_a_path_is_null_in_the_file_and_not_in_the_table(
     tmp_path: Path,
 ) -> None:
-    options = vars(start.options(["--scenario", "circle"]))
-    del options["output"]
+    chosen = vars(options(["--scenario", "circle"], None))
+    del chosen["output"]
     size = load_vehicle(find("vehicles", "paper")).size
-    run = Run(tmp_path, choose_scenario(Route("circle"), size), options)
+    run = Run(tmp_path, choose_scenario(Route("circle"), size), chosen)
     write_bag(run.bag, {"": drive_messages(CIRCLE)})
     table = judge(run, "interrupted by [SIGINT]")
     result = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))

@@ -26,7 +26,8 @@ from ampc_ros.controller import build_controller
 from ampc_ros.guard import MEASURED_STEP, NONE, bounds
 from ampc_ros.ladder import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST
 from ampc_ros.received import Received
-from ampc_ros.supervisor import Decision, Supervisor, rehearse
+from ampc_ros.rehearsal import rehearse
+from ampc_ros.supervisor import Decision, Supervisor
 from launch_scripts.trials import Trial, believed_vehicle, plant, scenario_of
 from sim_vehicle.closed_loop import drive
 from tests.supervised import between, made_for, supervised

@@ -11,9 +11,22 @@ from pathlib import Path
 import pytest
 
 from launch_scripts import bootstrap
+from tests.test_architecture import imported
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"ampc_msgs_config", "ampc_ros", "launch_scripts", "sim_vehicle"}
+KEYS = {
+    "PIL": "python3-pil",
+    "yaml": "python3-yaml",
+    **{name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "rich", "scipy")},
+}
+"""Of rosdep, by the name of the module."""
+NO_KEY = {"lz4", "mcap", "plotly", "rosbags", "tsdownsample", "zstandard"}
+DEVELOPMENT = {
+    *("casadi", "cma", "daqp", "do_mpc", "osqp", "piqp", "quadprog", "python3-scipy"),
+    *("distributed", "setuptools", "vehiclemodels"),
+}
+"""What only benchmarks, tests or a cluster need."""
 PIP_OUTPUTS = {
     "the package index cannot be reached": """
 WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError(': Failed to
@@ -66,6 +79,16 @@ def test_every_executable_names_a_function_that_is_there(package: str) -> None:
     assert executables
     for module, function in executables:
         assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_manifest_names_what_the_modules_import(package: str) -> None:
+    manifest = (ROOT / package / "package.xml").read_text(encoding="utf-8")
+    named = set(re.findall(r"<exec_depend>(.+)</exec_depend>", manifest))
+    folder = ROOT / package if package == "launch_scripts" else ROOT / package / package
+    found = set().union(*(imported(file) for file in folder.glob("*.py")))
+    needed = {KEYS.get(name, name) for name in found - sys.stdlib_module_names - NO_KEY - {package}}
+    assert needed - named <= (DEVELOPMENT if package == "launch_scripts" else set())
 
 
 @pytest.mark.parametrize("expected", PIP_OUTPUTS)

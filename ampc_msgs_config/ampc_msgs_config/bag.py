@@ -12,10 +12,9 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 from rclpy.serialization import deserialize_message
 
-from ampc_msgs_config import ros
 from ampc_msgs_config.chunks import ordered
 from ampc_msgs_config.mcap_records import MAGIC
-from ampc_msgs_config.message_types import message_class
+from ampc_msgs_config.message_types import TYPES, message_class
 from ampc_msgs_config.salvage import salvage
 
 SQLITE = b"SQLite format 3\0"
@@ -204,5 +203,5 @@ def decoder(channel: Channel, schema: Schema | None, *, wanted: bool) -> Decoder
 
 def contract_type(topic: str) -> str | None:
     """Give the type of a topic of the contract, in whatever namespace, or None."""
-    fitting = (type_ for name, type_ in ros.TYPES.items() if topic.endswith("/" + name.lstrip("/")))
+    fitting = (type_ for name, type_ in TYPES.items() if topic.endswith("/" + name.lstrip("/")))
     return next(fitting, None)

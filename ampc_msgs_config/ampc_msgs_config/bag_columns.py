@@ -14,6 +14,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.bag import is_complete, read
 from ampc_msgs_config.bag_topics import topics
 from ampc_msgs_config.columns import Collector, Column, Stamps
+from ampc_msgs_config.message_types import TYPES
 from ampc_msgs_config.path import Array
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -101,7 +102,7 @@ def is_usable(
     Raises:
         ValueError: `odom` has another type.
     """
-    topic, wanted = prefix + name, ros.TYPES[name]
+    topic, wanted = prefix + name, TYPES[name]
     if found.get(topic, wanted) == wanted:
         return topic in found
     sentence = f"{topic} holds {found[topic]}, not {wanted}"
@@ -123,7 +124,6 @@ def arranged(bag: File, namespace: str, collector: Collector, notes: list[str]) 
     clock = Clock(commands or odom)
     start_ns = int(clock.stamps(commands or odom).min())
     rows = {name: column.rows(clock.stamps(column), start_ns) for name, column in columns.items()}
-
     return BagColumns(
         bag,
         namespace,

@@ -11,6 +11,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -25,10 +26,10 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.path_file import Route, choose_scenario
 from ampc_msgs_config.scenario import Scenario
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.types import OK, WARN, VehicleState
 
-OK, WARN, ERROR, STALE = range(4)
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
+NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+"""The executor looks at each event of each publisher at every turn: costs more than a tick."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DELIVERY = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
@@ -59,7 +60,9 @@ class BaseNode(Node):
         self.is_recorded = False
         self.trouble = ""
         self.rejected = 0
-        self.diagnostics = self.create_publisher(DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE)
+        self.diagnostics = self.create_publisher(
+            DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE, event_callbacks=NO_EVENTS
+        )
 
     @property
     def now_ns(self) -> int:

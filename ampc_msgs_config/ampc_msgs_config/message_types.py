@@ -1,4 +1,4 @@
-"""What is known about a message type, given by its name."""
+"""The message type of each topic, and what is known about a type, given by its name."""
 
 import importlib
 import json
@@ -8,6 +8,27 @@ from typing import Any, NamedTuple
 
 from rosbags.typesys import Stores, get_typestore
 
+from ampc_msgs_config import ros
+
+TYPES = {
+    ros.CLOCK: "rosgraph_msgs/msg/Clock",
+    ros.ODOM: "nav_msgs/msg/Odometry",
+    ros.REFERENCE_PATH: "nav_msgs/msg/Path",
+    ros.TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
+    ros.STEERING_COMMAND: "sensor_msgs/msg/JointState",
+    ros.STEERING_STATE: "sensor_msgs/msg/JointState",
+    ros.PREDICTED_PATH: "nav_msgs/msg/Path",
+    ros.WIND: "geometry_msgs/msg/Vector3Stamped",
+    ros.STOP_REQUEST: "std_msgs/msg/Bool",
+    ros.TICK: "sensor_msgs/msg/JointState",
+    ros.MARKERS: "visualization_msgs/msg/MarkerArray",
+    ros.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+    ros.PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",
+    ros.ROSOUT: "rcl_interfaces/msg/Log",
+    **dict.fromkeys(ros.CONFIGURATIONS, "std_msgs/msg/String"),
+    **dict.fromkeys(ros.QUANTITIES, "std_msgs/msg/Float64"),
+}
+"""Message type of each topic of the contract."""
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 """The message types that come with ROS 2 Jazzy, whether they are installed or not."""
 SEPARATOR = "\n" + "=" * 80 + "\nMSG: {}\n"

@@ -25,8 +25,8 @@ from rclpy.subscription import Subscription
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.arrivals import Arrival, Arrivals
-from ampc_msgs_config.message_types import message_class, type_name_of
-from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.message_types import TYPES, message_class, type_name_of
+from ampc_msgs_config.recording import EVERYTHING, LATCHED_EVERYTHING, WHATEVER, Recording
 from ampc_msgs_config.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -36,9 +36,8 @@ HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
-
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in ros.TYPES.items() if name != ros.MARKERS
+    name: message_class(type_) for name, type_ in TYPES.items() if name != ros.MARKERS
 }
 """Markers show again what the others say, and would be three quarters of a bag."""
 LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, ros.TF_STATIC, *ros.CONFIGURATIONS}
@@ -62,16 +61,9 @@ class Recorder(Node):
         output = self.parameter("output", "", "Folder of the bag, which must hold none yet.")
         if not output:
             raise ValueError("parameter 'output' must name the folder of the bag")
-        further = parse_topics(
-            self.parameter("topics", [""], "Further topics to record, each as name:type.")
-        )
-        self.arrivals = Arrivals(
-            simulated=bool(self.get_parameter("use_sim_time").value),
-            clock=self.resolve_topic_name(ros.CLOCK),
-            command=self.resolve_topic_name(ros.STEERING_COMMAND),
-            quantities={self.resolve_topic_name(name) for name in DESCRIBING},
-            latched={self.resolve_topic_name(name) for name in LATCHED},
-        )
+        items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
+        further = parse_topics(items)
+        self.arrivals = self.empty_arrivals()
         self.odom = self.resolve_topic_name(ros.ODOM)
         self.derives_transforms = ros.TF not in map(self.resolve_topic_name, further)
         self.inputs: dict[str, Subscription] = {}
@@ -81,13 +73,23 @@ class Recorder(Node):
         self.awaited_ns = sys.maxsize
         self.heard = time.monotonic()
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
-            qos = ros.LATCHED_EVERYTHING if name in LATCHED else ros.EVERYTHING
+            qos = LATCHED_EVERYTHING if name in LATCHED else EVERYTHING
             self.listen(self.resolve_topic_name(name), message_type, qos)
         self.recording = Recording(Path(output))
-        self.create_timer(
-            WRITE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WRITE_PERIOD, self.on_timer, clock=steady)
         self.get_logger().info(f"recording to {self.recording.folder}")
+
+    def empty_arrivals(self) -> Arrivals:
+        """Give the queue of messages that wait to be written."""
+        full = self.resolve_topic_name
+        return Arrivals(
+            simulated=bool(self.get_parameter("use_sim_time").value),
+            clock=full(ros.CLOCK),
+            command=full(ros.STEERING_COMMAND),
+            quantities={full(name) for name in DESCRIBING},
+            latched={full(name) for name in LATCHED},
+        )
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Give a parameter."""
@@ -145,9 +147,7 @@ class Recorder(Node):
     def listen_for_less(self, refused: Subscription) -> None:
         """Subscribe anew, without history, or where that was too much, without reliability."""
         latched = refused.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self.listen(
-            refused.topic_name, refused.msg_type, ros.EVERYTHING if latched else ros.WHATEVER
-        )
+        self.listen(refused.topic_name, refused.msg_type, EVERYTHING if latched else WHATEVER)
         self.destroy_subscription(refused)
 
     def write_all(self, dated: Iterable[tuple[Arrival, int]]) -> None:
@@ -162,8 +162,7 @@ class Recorder(Node):
         """Write one message, the first of a topic together with its quality of service."""
         topic = arrival.topic
         if topic not in self.recording.topics:
-            publishers = self.get_publishers_info_by_topic(topic)
-            offers = [publisher.qos_profile for publisher in publishers]
+            offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
             subscription = self.inputs[topic]
             type_name = type_name_of(subscription.msg_type)
             self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
@@ -235,11 +234,13 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.append(number))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    code = 2  # the set-up is wrong
     try:
-        record(Recorder(), signals)
+        recorder, code = Recorder(), 1
+        record(recorder, signals)
     except (ValueError, OSError, ParameterException) as error:
-        print(f"recorder: {error}", file=sys.stderr)
-        return 1
+        print(f"error: {error}", file=sys.stderr)
+        return code
     finally:
         rclpy.try_shutdown()
     return 0

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap.writer import Writer
 from rclpy.duration import Duration
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from ampc_msgs_config.bag_metadata import FILE_NAME, Extent, Topic, to_yaml, write_metadata
 from ampc_msgs_config.message_types import define
@@ -20,6 +20,21 @@ from ampc_msgs_config.types import NANOSECONDS
 
 FLUSH_PERIOD = 0.5
 """Longest wall time that a written message stays in this process [s]."""
+EVERYTHING = QoSProfile(
+    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
+)
+"""What a recorder asks for."""
+LATCHED_EVERYTHING = QoSProfile(
+    depth=0,
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The same, where it may come late."""
+WHATEVER = QoSProfile(
+    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+"""The same, where a publisher offers less, such as a sensor of a car."""
 
 
 class Recording:

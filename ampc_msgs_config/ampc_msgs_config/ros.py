@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config.types import (
@@ -52,25 +52,6 @@ TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
 """Names in `controller/tick`."""
 QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
 CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
-TYPES = {
-    CLOCK: "rosgraph_msgs/msg/Clock",
-    ODOM: "nav_msgs/msg/Odometry",
-    REFERENCE_PATH: "nav_msgs/msg/Path",
-    TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
-    STEERING_COMMAND: "sensor_msgs/msg/JointState",
-    STEERING_STATE: "sensor_msgs/msg/JointState",
-    PREDICTED_PATH: "nav_msgs/msg/Path",
-    WIND: "geometry_msgs/msg/Vector3Stamped",
-    STOP_REQUEST: "std_msgs/msg/Bool",
-    TICK: "sensor_msgs/msg/JointState",
-    MARKERS: "visualization_msgs/msg/MarkerArray",
-    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
-    PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",
-    ROSOUT: "rcl_interfaces/msg/Log",
-    **dict.fromkeys(CONFIGURATIONS, "std_msgs/msg/String"),
-    **dict.fromkeys(QUANTITIES, "std_msgs/msg/Float64"),
-}
-"""Message type of each topic of the contract."""
 
 MAP = "map"
 BASE_LINK = "base_link"
@@ -105,21 +86,6 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The path, a configuration, a request to stop: who comes late gets it too."""
-EVERYTHING = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
-)
-"""The recorder."""
-LATCHED_EVERYTHING = QoSProfile(
-    depth=0,
-    history=HistoryPolicy.KEEP_ALL,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""The recorder, where it may come late."""
-WHATEVER = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-"""The recorder, where a publisher offers less, such as a sensor of a car."""
 
 
 class Stamped(NamedTuple):
@@ -145,8 +111,8 @@ def odometry_message(state: VehicleState) -> Odometry:
     message.header.stamp = time_message(state.stamp_ns)
     message.header.frame_id, message.child_frame_id = MAP, BASE_LINK
     message.pose.pose.position.x, message.pose.pose.position.y = state.x, state.y
-    orientation = message.pose.pose.orientation
-    orientation.z, orientation.w = quaternion_from_yaw(state.yaw)
+    q = message.pose.pose.orientation
+    q.z, q.w = quaternion_from_yaw(state.yaw)
     message.twist.twist.linear.x, message.twist.twist.linear.y = state.v_x, state.v_y
     message.twist.twist.angular.z = state.yaw_rate
     return message
@@ -196,8 +162,7 @@ def path_message(points: NDArray[np.float64], stamp_ns: int) -> Path:
         pose = PoseStamped()
         pose.header = message.header
         pose.pose.position.x, pose.pose.position.y = x, y
-        orientation = pose.pose.orientation
-        orientation.z, orientation.w = quaternion_from_yaw(math.atan2(dy, dx))
+        pose.pose.orientation.z, pose.pose.orientation.w = quaternion_from_yaw(math.atan2(dy, dx))
         message.poses.append(pose)
     return message
 

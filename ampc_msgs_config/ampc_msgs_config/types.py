@@ -73,6 +73,9 @@ LIMITS = (
 )
 """What the guard has clipped a command to."""
 
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
 
 class Diagnosis(NamedTuple):
     """What a controller can say about one step; each field is one debug topic."""

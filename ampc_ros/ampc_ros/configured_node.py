@@ -11,8 +11,9 @@ from ampc_msgs_config.base_node import declare
 from ampc_msgs_config.managed_node import ManagedNode
 from ampc_ros.configuration import CONTROLLERS, Choices, configuration, gain_file
 from ampc_ros.controller import warm_up
+from ampc_ros.rehearsal import rehearse
 from ampc_ros.ros import Outputs
-from ampc_ros.supervisor import Supervisor, rehearse
+from ampc_ros.supervisor import Supervisor
 
 RUN_TIME = ("settings", "gain_table", "guard", "static_path")
 """What a running controller may exchange."""

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import WARN, spin
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.base_node import spin
+from ampc_msgs_config.types import NANOSECONDS, WARN, VehicleState
 from ampc_ros.configured_node import ConfiguredNode
 from ampc_ros.health import Condition, change, condition, health, numbers
 from ampc_ros.ros import Outputs

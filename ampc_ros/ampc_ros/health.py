@@ -3,21 +3,22 @@
 from typing import Any, NamedTuple
 
 from ampc_msgs_config.types import (
+    ERROR,
     FEED_FORWARD,
     LIMITS,
     MODES,
+    OK,
     OPTIMAL,
     REASONS,
     RUNGS,
     SHIFTED_PLAN,
+    STALE,
     STANDSTILL,
     STOP,
     TRACKING,
+    WARN,
 )
 from ampc_ros.supervisor import Decision, Supervisor
-
-OK, WARN, ERROR, STALE = range(4)
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
 
 
 class Health(NamedTuple):

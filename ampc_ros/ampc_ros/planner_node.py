@@ -12,11 +12,11 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import OK, STALE, WARN, BaseNode, declare_scenario, spin
+from ampc_msgs_config.base_node import BaseNode, declare_scenario, spin
 from ampc_msgs_config.braking import Braking
 from ampc_msgs_config.scenario import SpeedPlanner
 from ampc_msgs_config.scenario_yaml import document, mapping_of
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
 
 SILENCE = 0.5
 """Age of the newest state from which it is reported as stale [s]."""

@@ -1,20 +1,17 @@
 """What the controller publishes: commands, how they came about, what it is made of, a stop."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from nav_msgs.msg import Path as PathMessage
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.base_node import NO_EVENTS
 from ampc_ros.configuration import to_yaml
 from ampc_ros.supervisor import Decision, Supervisor
-
-NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-"""The executor looks at each event of each publisher at every turn, which for two dozen debug
-topics costs more than the tick."""
 
 
 class Outputs:
@@ -27,14 +24,12 @@ class Outputs:
             node: Owner.
             lock_step: A drive is faster than real time, and is to be recorded whole.
         """
-        publish = node.create_publisher
         self.node = node
-        self.debug = [
-            publish(Float64, f"~/debug/{name}", ros.RELIABLE, event_callbacks=NO_EVENTS)
-            for name in ros.DEBUG_QUANTITIES
-        ]
         qos = ros.RELIABLE if lock_step else ros.COMMAND
-        self.commands = publish(JointState, ros.STEERING_COMMAND, qos)
+        self.commands = node.create_publisher(JointState, ros.STEERING_COMMAND, qos)
+        publish = partial(node.create_publisher, event_callbacks=NO_EVENTS)
+        names = ros.DEBUG_QUANTITIES
+        self.debug = [publish(Float64, f"~/debug/{name}", ros.RELIABLE) for name in names]
         self.ticks = publish(JointState, ros.TICK, ros.RELIABLE)
         self.predictions = publish(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ampc_msgs_config.path import Array, Path
-from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.types import LIMITS, NANOSECONDS, STOP, Command, Supervision, VehicleState
+from ampc_msgs_config.types import LIMITS, STOP, Command, Supervision, VehicleState
 from ampc_ros.checks import StateFilter, check_path
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller, build_controller
@@ -252,14 +251,3 @@ class Supervisor:
             self.number,
             float(self.ladder.qp_fault),
         )
-
-
-def rehearse(made: Configuration) -> None:
-    """Go down the ladder once, so that nothing is compiled or loaded in a tick."""
-    supervisor, path = Supervisor(made), make_path([(0.0, 0.0), (200.0, 0.0)])
-    ticks = supervisor.ladder.plan_ticks + 2
-    for tick in range(ticks):
-        x, stamp_ns = 9.0 * tick * supervisor.period, round(tick * supervisor.period * NANOSECONDS)
-        supervisor.take_steering(0.0)
-        supervisor.step(VehicleState(stamp_ns, x, 0.1, 0.0, 9.0, 0.0, 0.0), path)
-        supervisor.ladder.qp_fault = True
