@@ -19,6 +19,7 @@ from rich.text import Text
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.bag import is_complete
+from ampc_msgs_config.message_types import TYPES
 from ampc_msgs_config.path_file import Route
 from ampc_msgs_config.scenario import Scenario
 from launch_scripts.environment import ros_environment
@@ -102,7 +103,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     record = {"output": str(run.bag), "use_sim_time": lock_step}
     renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if given["faults"] else {}
     if given["faults"]:
-        record["topics"] = [f"{new}:{ros.TYPES[topic]}" for topic, new in renamed.items()]
+        record["topics"] = [f"{new}:{TYPES[topic]}" for topic, new in renamed.items()]
     nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
     nodes.start("planner", "ampc_ros.planner_node", common | route)
     if given["faults"]:
