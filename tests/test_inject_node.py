@@ -1,5 +1,6 @@
 """Faults over ROS: real nodes, and the injector between simulator and controller."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.config import find
 from ampc_msgs_config.types import REASONS, RUNGS, VehicleState
 from ampc_ros.controller_node import ControllerNode
 from ampc_ros.planner_node import PlannerNode
 from launch_scripts.fault_messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults import load_plan
 from launch_scripts.inject_node import InjectorNode, packed, unpacked
+from launch_scripts.replay import main as replay
 from launch_scripts.start import FAULTY as RENAMED
 from launch_scripts.start import main as start
 from sim_vehicle.simulator_node import SimulatorNode
@@ -164,3 +167,11 @@ def test_start_names_what_is_wrong_with_a_file_of_faults(
     file.write_text("faults: [{kind: fire, start: 1, duration: 1}]", encoding="utf-8")
     assert start(["--faults", str(file)]) == 2
     assert "mine.yaml: faults[0]: kind = 'fire' must be one of" in capsys.readouterr().out
+
+
+def test_a_run_with_faults_is_recorded_and_replays_bit_for_bit(tmp_path: Path) -> None:
+    short = find("scenarios", "straight").read_text(encoding="utf-8")
+    (tmp_path / "short.yaml").write_text(re.sub(r"duration: \S+", "duration: 3.0", short))
+    chosen = ["--scenario", str(tmp_path / "short.yaml"), "--faults", "example"]
+    assert start([*chosen, "--output", str(tmp_path / "run")]) == 0
+    assert replay([str(tmp_path / "run" / "bag")]) == 0
