@@ -67,7 +67,7 @@ class Driver(Node):
         self.made.append(message.data)
 
     def answer(self, client: Any, request: Any) -> Any:
-        """Call a service; again where the answer is lost, as the node did not know us yet."""
+        """Call a service; as a new client where the answer is lost, as the node did not know us."""
         spin_until(self.executor_of_all, client.service_is_ready)
         futures = [client.call_async(request)]
         until = time.monotonic() + LOST_ANSWER
@@ -75,7 +75,8 @@ class Driver(Node):
         def is_answered() -> bool:
             nonlocal until
             if time.monotonic() > until:
-                futures.append(client.call_async(request))
+                anew = self.create_client(client.srv_type, client.srv_name)
+                futures.append(anew.call_async(request))
                 until += LOST_ANSWER
             return any(future.done() for future in futures)
 
