@@ -196,13 +196,17 @@ def test_a_clock_that_is_not_there_has_not_gone_back() -> None:
     assert not filtered.accept(state(2.5), 0).reset
 
 
-def test_where_messages_keep_their_order_a_stamp_that_goes_back_resets_at_once() -> None:
-    filtered = StateFilter(in_order=True)
-    assert filtered.accept(state(1.0), 0) == ACCEPTED
-    assert not filtered.accept(state(1.0), 0).accepted
-    assert filtered.accept(state(0.9), 0)[:2] == (True, True)
-    assert filtered.accept(state(1.0), 0) == ACCEPTED
-    assert not filtered.accept(state(1.1, x=500.0), 0).accepted
+@pytest.mark.parametrize("ran", [0.11, 0.5, 60.0])
+def test_a_simulator_that_starts_again_in_lock_step_resets_at_once(ran: float) -> None:
+    filtered, begin = StateFilter(), state(0.0)._replace(stamp_ns=NANOSECONDS)
+    for t in np.linspace(0.0, ran, 1 + math.ceil(ran / 0.1)).tolist():
+        moved = begin._replace(stamp_ns=NANOSECONDS + round(t * NANOSECONDS), x=9.0 * t)
+        assert filtered.accept(moved, moved.stamp_ns) == ACCEPTED
+    assert filtered.accept(begin, begin.stamp_ns)[:2] == (True, True)
+    later = begin._replace(stamp_ns=begin.stamp_ns + TICK_NS, x=0.9)
+    assert filtered.accept(later, later.stamp_ns) == ACCEPTED
+    further = later._replace(stamp_ns=later.stamp_ns + TICK_NS, x=500.0)
+    assert not filtered.accept(further, further.stamp_ns).accepted
 
 
 @SIDES
