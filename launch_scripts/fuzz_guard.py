@@ -1,21 +1,13 @@
-"""Throw hostile inputs at checks and guard: no exception, no command outside the limits.
+"""Checks and guard as what hostile inputs are thrown at, and what is promised of each command."""
 
-`python launch_scripts/fuzz.py`, or `ros2 run launch_scripts fuzz`; `--inputs 1000000 --seed 1`.
-The same seed gives the same inputs. The exit code is 1 where a promise is broken; the seed and the
-number of the input are told.
-"""
-
-import argparse
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits, SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.checks import StateFilter, check_path
@@ -28,6 +20,8 @@ SHARES = {"state": 0.45, "tick": 0.448, "steering": 0.1, "path": 0.002}
 HOSTILE = 0.1
 """Share of the numbers that are not what a car would report."""
 MAX_POINTS = 60
+JUMPS = 0.01
+"""Share of the inputs at which the clock jumps."""
 
 
 class Violation(Exception):
@@ -103,9 +97,14 @@ class ChecksAndGuard:
 class Inputs:
     """A seeded source of inputs: a car that drives on, disturbed by all that can go wrong."""
 
-    def __init__(self, seed: int) -> None:
-        """Begin a drive."""
-        self.rng = np.random.default_rng(seed)
+    def __init__(self, seed: int | Sequence[int], jumps: float = JUMPS) -> None:
+        """Begin a drive.
+
+        Args:
+            seed: Of all that follows.
+            jumps: Share of the inputs at which the clock jumps.
+        """
+        self.rng, self.jumps = np.random.default_rng(seed), jumps
         self.now_ns = 1_000 * NANOSECONDS
         self.state = VehicleState(self.now_ns, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)
 
@@ -119,7 +118,11 @@ class Inputs:
 
     def time(self) -> int:
         """Let the clock go on, jump ahead or jump back, and give its time [ns]."""
-        step = 0.02 if self.rng.random() < 0.99 else self.rng.choice([0.0, -0.2, -3.0, 1.0, 1e4])
+        step = (
+            0.02
+            if self.rng.random() >= self.jumps
+            else self.rng.choice([0.0, -0.2, -3.0, 1.0, 1e4])
+        )
         self.now_ns = max(self.now_ns + round(step * NANOSECONDS), 0)
         return self.now_ns
 
@@ -173,9 +176,7 @@ class Promises:
             raise Violation(f"angle jumped from {last!r} to {steering!r}")
 
 
-def fuzz(
-    subject: Subject, inputs: Inputs, promises: Promises, count: int, say: Any = None
-) -> Counter[str]:
+def fuzz(subject: Subject, inputs: Inputs, promises: Promises, count: int) -> Counter[str]:
     """Throw inputs at a subject; a refusal is a ValueError or silent, all else is a failure.
 
     Returns:
@@ -194,8 +195,6 @@ def fuzz(
         except Exception as error:
             raise Violation(f"input {number}, {kind}: {error!r}") from error
         done[kind] += 1
-        if say and number % 1000 == 0:
-            say(number)
     return done
 
 
@@ -214,37 +213,25 @@ def one_input(kind: str, subject: Subject, inputs: Inputs, promises: Promises) -
             promises.check(answer)
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--inputs", type=int, default=1_000_000, help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=1, help="default: %(default)s")
-    parser.add_argument("--guard", default="road", help="limits; default: %(default)s")
-    return parser.parse_args(arguments)
+def guard_drive(seed: int, drive: int, count: int) -> Counter[str]:
+    """Throw inputs at checks and guard in one drive, with each of the shipped limits in turn.
 
+    Args:
+        seed: Of all drives.
+        drive: Number of this one; both together give its inputs.
+        count: Of inputs.
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fuzz, tell what was thrown and refused; gives 1 where a promise is broken."""
-    chosen, console = options(arguments), Console(highlight=False)
-    inputs = Inputs(chosen.seed)
-    subject = ChecksAndGuard(inputs.number, chosen.guard)
-    try:
-        with Progress(console=console) as progress, np.errstate(all="ignore"):
-            task = progress.add_task("inputs", total=chosen.inputs)
-            say = lambda done: progress.update(task, completed=done)  # noqa: E731
-            counts = fuzz(subject, inputs, Promises(chosen.guard), chosen.inputs, say)
-            progress.update(task, completed=chosen.inputs)
-    except Violation as violation:
-        console.print(f"seed {chosen.seed}: {violation}")
-        return 1
-    for title, table in (
-        ("inputs", counts),
-        ("states refused", subject.filter.rejected),
-        ("commands clipped", subject.guard.count),
-    ):
-        console.print(f"{title}: " + ", ".join(f"{name} {n}" for name, n in sorted(table.items())))
-    return 0
+    Returns:
+        How many inputs of each kind, how many refused, and how often the guard clipped.
 
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    Raises:
+        Violation: Tells the number of the input.
+    """
+    limits = sorted(shipped("guards"))[drive % len(shipped("guards"))]
+    inputs = Inputs([seed, drive])
+    subject = ChecksAndGuard(inputs.number, limits)
+    with np.errstate(all="ignore"):
+        done = fuzz(subject, inputs, Promises(limits), count)
+    done.update({f"state {cause}": n for cause, n in subject.filter.rejected.items()})
+    done.update({f"clipped {limit}": n for limit, n in subject.guard.count.items()})
+    return done
