@@ -230,6 +230,80 @@ def test_a_position_may_differ_by_half_a_metre_from_where_the_speed_takes_it(
     )
 
 
+def lagging(*, behind: float) -> StateFilter:
+    """Give a filter whose last state, of 1 s, was so far behind a car of 8 m/s [m]."""
+    filtered = StateFilter()
+    for i in range(9):
+        late = behind if i == 8 else 0.0
+        assert arrive(filtered, state(0.125 * i, x=1.0 * i - late, v_x=8.0)) == ACCEPTED
+    return filtered
+
+
+@SIDES
+def test_a_jump_is_none_up_to_half_a_metre_from_where_the_twist_leads_from_half_a_second_before(
+    side: float,
+) -> None:
+    jumped = state(1.125, x=9.5, v_x=8.0)
+    assert arrive(lagging(behind=0.625), jumped) == ACCEPTED
+    aside = jumped._replace(x=9.25, y=side * 0.4)
+    assert arrive(lagging(behind=0.625), aside) == ACCEPTED
+    above = jumped._replace(x=math.nextafter(9.5, UP))
+    reason = refused(lagging(behind=0.625), above, "position_jump")
+    assert reason == "odom: position jumped by 2.13 m in 0.125 s, must be at most 1.5 m"
+    refused(lagging(behind=0.625), jumped._replace(x=9.25, y=side * 0.45), "position_jump")
+
+
+@SIDES
+def test_a_position_that_comes_back_to_where_the_twist_leads_must_not_have_turned(
+    side: float,
+) -> None:
+    jumped = state(1.125, x=9.25, v_x=8.0)
+    assert arrive(lagging(behind=0.625), jumped._replace(yaw=side * 0.2)) == ACCEPTED
+    turned = jumped._replace(yaw=side * math.nextafter(0.2, UP))
+    refused(lagging(behind=0.625), turned, "heading_jump")
+
+
+def test_a_state_that_jumps_away_is_refused_however_the_last_ones_lagged() -> None:
+    for behind in (0.0, 0.3, 0.6):
+        filtered = lagging(behind=behind)
+        for i in range(4):
+            t = 1.125 + 0.125 * i
+            verdict = arrive(filtered, state(t, x=8.0 * t + 2.0, v_x=8.0))
+            assert (verdict.accepted, verdict.cause) == (False, "position_jump")
+        assert arrive(filtered, state(1.625, x=15.0, v_x=8.0))[:2] == (True, True)
+
+
+@pytest.mark.parametrize("hz", [20, 50, 100])
+def test_a_pose_that_was_frozen_for_a_moment_goes_on_at_once(hz: int) -> None:
+    filtered, causes = StateFilter(), []
+    for i in range(3 * hz):
+        t = i / hz
+        shown = 2.0 if 2.0 < t < 2.3 else t
+        causes.append(arrive(filtered, state(t, x=9.0 * shown)).cause)
+    assert set(causes[: 2 * hz + 1]) == {""}
+    assert "twist_contradicts_pose" in causes
+    assert set(causes[round(2.3 * hz) + 1 :]) == {""}
+
+
+@pytest.mark.parametrize(("short_ns", "reset"), [(0, True), (1, False)])
+def test_a_clock_that_jumped_back_is_believed_where_states_take_half_the_time_that_they_tell(
+    short_ns: int, reset: bool
+) -> None:
+    filtered = running(3.0)
+    begin_ns = START_NS + 3 * NANOSECONDS
+    for i in range(2):
+        assert not filtered.accept(state(0.1 * i), begin_ns + i * TICK_NS // 2).accepted
+    assert filtered.accept(state(0.2), begin_ns + TICK_NS - short_ns).reset == reset
+
+
+def test_a_queue_of_old_states_that_empties_itself_proves_no_jump_of_the_clock() -> None:
+    filtered = running(3.0)
+    for i in range(20):
+        verdict = filtered.accept(state(0.1 * i), START_NS + 3 * NANOSECONDS + i)
+        assert not verdict.accepted
+    assert arrive(filtered, state(3.1)) == ACCEPTED
+
+
 def test_the_larger_of_two_speeds_tells_how_far_a_position_may_move() -> None:
     slow, fast = state(0.0, v_x=0.0), state(0.1, x=1.4)
     for first, then in ((slow, fast), (fast._replace(stamp_ns=slow.stamp_ns), fast)):
