@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -299,8 +298,11 @@ def test_what_is_no_number_is_neither_used_nor_told(
     ladder = Ladder(made := made_for(), build_controller(made))
     ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
     good = ladder.controller.step(at(ns(0.1), y=0.3), ROAD)
-    broken: Any = np.full_like(getattr(good, what), math.nan)
-    bad = good._replace(**{what: broken if broken.ndim else math.nan})
+    bad = {
+        "plan": good._replace(plan=np.array([math.nan])),
+        "prediction": good._replace(prediction=np.array([[0.0, math.nan]])),
+        "steering": good._replace(steering=math.nan),
+    }[what]
     monkeypatch.setattr(ladder.controller, "step", lambda state, path: bad)
     answer = ladder.answer(at(ns(0.1), y=0.3), ROAD, 0.0, ns(0.1))
     assert (answer.rung, answer.reason) == (SHIFTED_PLAN, QP_NOT_SOLVED)
