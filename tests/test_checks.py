@@ -209,6 +209,18 @@ def test_a_simulator_that_starts_again_in_lock_step_resets_at_once(ran: float) -
     assert not filtered.accept(further, further.stamp_ns).accepted
 
 
+def test_after_a_clock_that_went_back_the_next_state_has_to_follow_from_the_first() -> None:
+    filtered = running(3.0)
+    assert arrive(filtered, state(0.0)).reset
+    refused(filtered, state(0.1, x=500.0), "position_jump")
+
+
+def test_after_a_silence_a_state_follows_from_a_refused_one_in_spite_of_its_twist() -> None:
+    filtered = running(1.0)
+    refused(filtered, state(1.1, x=500.0), "position_jump")
+    assert arrive(filtered, state(1.75, x=500.0))[:2] == (True, True)
+
+
 @SIDES
 @pytest.mark.parametrize("v", [0.0, 9.0])
 def test_a_position_may_differ_by_half_a_metre_from_where_the_speed_takes_it(
