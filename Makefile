@@ -38,7 +38,7 @@ mutation: dev  ## set up, then change guard and filter in every small way: a tes
 	@$(VENV_PYTHON) -m pip install --quiet -r lock/requirements-mutation.txt
 	@$(VENV_PYTHON) launch_scripts/mutation.py
 
-fuzz: dev  ## set up, then throw a million hostile inputs at checks and guard (20 s)
+fuzz: dev  ## set up, then throw a million hostile inputs each at node core and guard (2 min)
 	@$(VENV_PYTHON) launch_scripts/fuzz.py
 
 bench:  ## set up, then measure against other solvers and tools (about 10 min), into runs/bench

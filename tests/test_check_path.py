@@ -56,6 +56,12 @@ def test_a_gap_of_more_than_25_metres_is_refused_with_its_place() -> None:
     check_path(points, CHASSIS, MAX_ANGLE, max_gap=25.2)
 
 
+def test_a_gap_counts_from_three_points_on() -> None:
+    check_path([(0.0, 0.0), (25.0, 0.0), (50.0, 0.0)], CHASSIS, MAX_ANGLE)
+    with pytest.raises(ValueError, match=r"gap between points 1 and 2 = 25\.1 m"):
+        check_path([(0.0, 0.0), (25.0, 0.0), (50.1, 0.0)], CHASSIS, MAX_ANGLE)
+
+
 def test_two_points_are_a_straight_road_of_any_length() -> None:
     path = check_path([(0.0, 0.0), (300.0, 1.0)], CHASSIS, MAX_ANGLE)
     assert path.length == pytest.approx(300.0, abs=0.1)
@@ -88,6 +94,15 @@ def test_mean_curvature_goes_round_a_closed_path() -> None:
     bend = mean_curvature(path, 5.0)
     assert len(bend) == len(path.x) - 1
     np.testing.assert_allclose(bend, 1 / 20.0, rtol=0.01)
+
+
+def test_mean_curvature_of_a_closed_path_is_the_same_however_the_path_is_turned() -> None:
+    for turned in (0.0, 1.0, -2.5):
+        cos, sin = math.cos(turned), math.sin(turned)
+        points = circle(20.0, turn=2 * math.pi) @ np.array([[cos, sin], [-sin, cos]])
+        path = make_path([*points.tolist(), points[0].tolist()])
+        assert path.closed
+        assert mean_curvature(path, CHASSIS.wheelbase) == pytest.approx(0.05, rel=0.02)
 
 
 def test_points_that_jitter_by_5_centimetres_can_be_driven_and_a_right_angle_cannot() -> None:

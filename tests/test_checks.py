@@ -196,13 +196,29 @@ def test_a_clock_that_is_not_there_has_not_gone_back() -> None:
     assert not filtered.accept(state(2.5), 0).reset
 
 
-def test_where_messages_keep_their_order_a_stamp_that_goes_back_resets_at_once() -> None:
-    filtered = StateFilter(in_order=True)
-    assert filtered.accept(state(1.0), 0) == ACCEPTED
-    assert not filtered.accept(state(1.0), 0).accepted
-    assert filtered.accept(state(0.9), 0)[:2] == (True, True)
-    assert filtered.accept(state(1.0), 0) == ACCEPTED
-    assert not filtered.accept(state(1.1, x=500.0), 0).accepted
+@pytest.mark.parametrize("ran", [0.11, 0.5, 60.0])
+def test_a_simulator_that_starts_again_in_lock_step_resets_at_once(ran: float) -> None:
+    filtered, begin = StateFilter(), state(0.0)._replace(stamp_ns=NANOSECONDS)
+    for t in np.linspace(0.0, ran, 1 + math.ceil(ran / 0.1)).tolist():
+        moved = begin._replace(stamp_ns=NANOSECONDS + round(t * NANOSECONDS), x=9.0 * t)
+        assert filtered.accept(moved, moved.stamp_ns) == ACCEPTED
+    assert filtered.accept(begin, begin.stamp_ns)[:2] == (True, True)
+    later = begin._replace(stamp_ns=begin.stamp_ns + TICK_NS, x=0.9)
+    assert filtered.accept(later, later.stamp_ns) == ACCEPTED
+    further = later._replace(stamp_ns=later.stamp_ns + TICK_NS, x=500.0)
+    assert not filtered.accept(further, further.stamp_ns).accepted
+
+
+def test_after_a_clock_that_went_back_the_next_state_has_to_follow_from_the_first() -> None:
+    filtered = running(3.0)
+    assert arrive(filtered, state(0.0)).reset
+    refused(filtered, state(0.1, x=500.0), "position_jump")
+
+
+def test_after_a_silence_a_state_follows_from_a_refused_one_in_spite_of_its_twist() -> None:
+    filtered = running(1.0)
+    refused(filtered, state(1.1, x=500.0), "position_jump")
+    assert arrive(filtered, state(1.75, x=500.0))[:2] == (True, True)
 
 
 @SIDES
@@ -224,6 +240,80 @@ def test_a_position_may_differ_by_half_a_metre_from_where_the_speed_takes_it(
     assert reason == (
         f"odom: position jumped by {above:.3g} m in 0.1 s, must be at most {most:.3g} m"
     )
+
+
+def lagging(*, behind: float) -> StateFilter:
+    """Give a filter whose last state, of 1 s, was so far behind a car of 8 m/s [m]."""
+    filtered = StateFilter()
+    for i in range(9):
+        late = behind if i == 8 else 0.0
+        assert arrive(filtered, state(0.125 * i, x=1.0 * i - late, v_x=8.0)) == ACCEPTED
+    return filtered
+
+
+@SIDES
+def test_a_jump_is_none_up_to_half_a_metre_from_where_the_twist_leads_from_half_a_second_before(
+    side: float,
+) -> None:
+    jumped = state(1.125, x=9.5, v_x=8.0)
+    assert arrive(lagging(behind=0.625), jumped) == ACCEPTED
+    aside = jumped._replace(x=9.25, y=side * 0.4)
+    assert arrive(lagging(behind=0.625), aside) == ACCEPTED
+    above = jumped._replace(x=math.nextafter(9.5, UP))
+    reason = refused(lagging(behind=0.625), above, "position_jump")
+    assert reason == "odom: position jumped by 2.13 m in 0.125 s, must be at most 1.5 m"
+    refused(lagging(behind=0.625), jumped._replace(x=9.25, y=side * 0.45), "position_jump")
+
+
+@SIDES
+def test_a_position_that_comes_back_to_where_the_twist_leads_must_not_have_turned(
+    side: float,
+) -> None:
+    jumped = state(1.125, x=9.25, v_x=8.0)
+    assert arrive(lagging(behind=0.625), jumped._replace(yaw=side * 0.2)) == ACCEPTED
+    turned = jumped._replace(yaw=side * math.nextafter(0.2, UP))
+    refused(lagging(behind=0.625), turned, "heading_jump")
+
+
+def test_a_state_that_jumps_away_is_refused_however_the_last_ones_lagged() -> None:
+    for behind in (0.0, 0.3, 0.6):
+        filtered = lagging(behind=behind)
+        for i in range(4):
+            t = 1.125 + 0.125 * i
+            verdict = arrive(filtered, state(t, x=8.0 * t + 2.0, v_x=8.0))
+            assert (verdict.accepted, verdict.cause) == (False, "position_jump")
+        assert arrive(filtered, state(1.625, x=15.0, v_x=8.0))[:2] == (True, True)
+
+
+@pytest.mark.parametrize("hz", [20, 50, 100])
+def test_a_pose_that_was_frozen_for_a_moment_goes_on_at_once(hz: int) -> None:
+    filtered, causes = StateFilter(), []
+    for i in range(3 * hz):
+        t = i / hz
+        shown = 2.0 if 2.0 < t < 2.3 else t
+        causes.append(arrive(filtered, state(t, x=9.0 * shown)).cause)
+    assert set(causes[: 2 * hz + 1]) == {""}
+    assert "twist_contradicts_pose" in causes
+    assert set(causes[round(2.3 * hz) + 1 :]) == {""}
+
+
+@pytest.mark.parametrize(("short_ns", "reset"), [(0, True), (1, False)])
+def test_a_clock_that_jumped_back_is_believed_where_states_take_half_the_time_that_they_tell(
+    short_ns: int, reset: bool
+) -> None:
+    filtered = running(3.0)
+    begin_ns = START_NS + 3 * NANOSECONDS
+    for i in range(2):
+        assert not filtered.accept(state(0.1 * i), begin_ns + i * TICK_NS // 2).accepted
+    assert filtered.accept(state(0.2), begin_ns + TICK_NS - short_ns).reset == reset
+
+
+def test_a_queue_of_old_states_that_empties_itself_proves_no_jump_of_the_clock() -> None:
+    filtered = running(3.0)
+    for i in range(20):
+        verdict = filtered.accept(state(0.1 * i), START_NS + 3 * NANOSECONDS + i)
+        assert not verdict.accepted
+    assert arrive(filtered, state(3.1)) == ACCEPTED
 
 
 def test_the_larger_of_two_speeds_tells_how_far_a_position_may_move() -> None:

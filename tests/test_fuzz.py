@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.types import VehicleState
-from launch_scripts.fuzz import (
+from launch_scripts.fuzz import main
+from launch_scripts.fuzz_guard import (
     SHARES,
     Answer,
     ChecksAndGuard,
@@ -15,7 +16,6 @@ from launch_scripts.fuzz import (
     Promises,
     Violation,
     fuzz,
-    main,
 )
 
 MANY = 3000
@@ -92,7 +92,7 @@ def test_the_same_seed_gives_the_same_inputs() -> None:
 
 
 def test_the_command_tells_what_was_thrown_and_refused(capsys: Any) -> None:
-    assert main(["--inputs", "2000", "--seed", "3"]) == 0
+    assert main(["--target", "guard", "--inputs", "6000", "--seed", "3"]) == 0
     said = capsys.readouterr().out
     assert "tick" in said
     assert "duplicate" in said

@@ -291,6 +291,26 @@ def test_angle_that_is_no_number_is_not_used_and_the_next_good_state_is_answered
         assert again.steering == fresh.answer(good, ROAD, in_force, ns(0.2)).steering
 
 
+@pytest.mark.parametrize("what", ["plan", "prediction", "steering"])
+def test_what_is_no_number_is_neither_used_nor_told(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ladder = Ladder(made := made_for(), build_controller(made))
+    ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
+    good = ladder.controller.step(at(ns(0.1), y=0.3), ROAD)
+    bad = {
+        "plan": good._replace(plan=np.array([math.nan])),
+        "prediction": good._replace(prediction=np.array([[0.0, math.nan]])),
+        "steering": good._replace(steering=math.nan),
+    }[what]
+    monkeypatch.setattr(ladder.controller, "step", lambda state, path: bad)
+    answer = ladder.answer(at(ns(0.1), y=0.3), ROAD, 0.0, ns(0.1))
+    assert (answer.rung, answer.reason) == (SHIFTED_PLAN, QP_NOT_SOLVED)
+    assert math.isfinite(answer.steering)
+    assert answer.command.plan is None
+    assert answer.command.prediction is None
+
+
 def test_soft_lane_that_is_left_is_told_as_slack() -> None:
     made = made_for()
     narrow = made._replace(settings=replace(made.settings, max_output_error=0.2))

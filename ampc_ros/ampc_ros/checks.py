@@ -56,16 +56,11 @@ class StateFilter:
         A stamp that goes back is an overtaken message, or a clock that jumped. It is the clock
         where the node's own went back, too; or, beyond REORDERED, where three states in a row
         go on from there, as fast as they tell: those of a queue that empties itself come all at
-        once; or where messages cannot overtake each other.
+        once. In lock-step the stamp is the node's clock, so that both go back together.
     """
 
-    def __init__(self, *, in_order: bool = False) -> None:
-        """Make a filter that takes any first state.
-
-        Args:
-            in_order: Messages cannot overtake each other, as in lock-step.
-        """
-        self.in_order = in_order
+    def __init__(self) -> None:
+        """Make a filter that takes any first state."""
         self.rejected = dict.fromkeys(CAUSES, 0)
         self.track: Track | None = None
         self.candidate: Track | None = None
@@ -108,7 +103,7 @@ class StateFilter:
             return False
         back = refusal.cause in ("out_of_order", "clock_jumped_back")
         clock_went_back = 0 < now_ns < self.now_ns - FUTURE * NANOSECONDS
-        if back and (self.in_order or clock_went_back):
+        if back and clock_went_back:
             self.candidate = Track(state)
             return True
         if refusal.cause == "out_of_order":

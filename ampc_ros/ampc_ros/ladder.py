@@ -113,11 +113,11 @@ class Ladder:
         return Answer(FEED_FORWARD, PLAN_USED_UP, steering, command)
 
     def _step(self, state: VehicleState, path: Path, in_force: float) -> Command:
-        """Ask the controller; an angle that is no number counts as not solved, and is forgotten."""
+        """Ask the controller; what is no number counts as not solved, and is forgotten."""
         command = self.controller.step(state, path)
-        planned = 0.0 if command.plan is None else command.plan
-        if not (math.isfinite(command.steering) and np.isfinite(planned).all()):
+        if not is_finite(command):
             self.controller.reset(in_force)
+            command = command._replace(prediction=None, plan=None)
         elif not self.qp_fault:
             return command
         return command._replace(diagnosis=command.diagnosis._replace(converged=0.0))
@@ -162,6 +162,12 @@ class Ladder:
         step = STOP_RATE * self.controller.period
         steering = min(max(self.planned(now_ns), in_force - step), in_force + step)
         return Answer(STOP, reason, steering, self.command, stepped=False)
+
+
+def is_finite(command: Command) -> bool:
+    """Whether angle, plan and prediction are numbers."""
+    arrays = (each for each in (command.plan, command.prediction) if each is not None)
+    return math.isfinite(command.steering) and all(np.isfinite(each).all() for each in arrays)
 
 
 def refusal(state: VehicleState, diagnosis: Diagnosis) -> int:
