@@ -14,6 +14,8 @@ from ampc_ros.controller_node import ControllerNode
 from tests.driver_of_nodes import Driver
 from tests.ros_nodes import ros_context, spin_until
 
+pytestmark = pytest.mark.usefixtures("own_domain")
+
 COMMAND = [sys.executable, "-m", "ampc_ros.controller_node", "--ros-args"]
 PARAMETERS = ["-p", "controller:=pure_pursuit", "-p", "static_path:=true"]
 

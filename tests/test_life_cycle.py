@@ -12,6 +12,8 @@ from ampc_ros.controller_node import ControllerNode
 from tests.driver_of_nodes import OURS, Driver, largest_step, set_parameter
 from tests.ros_nodes import ros_context, spin_until
 
+pytestmark = pytest.mark.usefixtures("own_domain")
+
 
 @pytest.fixture
 def unconfigured() -> Any:

@@ -23,6 +23,8 @@ from sim_vehicle.parameters import load_vehicle
 from tests.driver_of_nodes import Driver, largest_step
 from tests.ros_nodes import ros_context, spin_until
 
+pytestmark = pytest.mark.usefixtures("own_domain")
+
 CHANGES: dict[str, dict[str, Any]] = {
     "gain table": {"gain_table": "preview_ordinary"},
     "settings": {"settings": "careful.yaml"},
