@@ -151,9 +151,33 @@ def test_the_planner_says_what_it_waits_for_and_that_it_brakes() -> None:
         node.on_stop_request(Bool(data=True))
         assert world.at(1.8, node) == (WARN, "a stop is requested: braking")
         values = {each.key: float(each.value) for each in world.last.values}
-        assert values == {"target_speed": 9.0, "stop_requested": 1.0, "rejected_inputs": 0.0}
+        assert values.pop("target_speed") == pytest.approx(
+            8.9, abs=0.11
+        )  # braking for 0.1 s at most
+        assert values == {"stop_requested": 1.0, "rejected_inputs": 0.0}
         node.on_stop_request(Bool(data=False))
         assert world.at(1.9, node) == (OK, "OK")
+
+
+def test_the_car_is_braked_too_where_the_state_is_what_was_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with ros_context(use_sim_time="true", scenario="straight") as executor:
+        node = PlannerNode()
+        world, speeds = Reported(executor, node), list[float]()
+
+        def note(message: Any) -> None:
+            speeds.append(message.twist.linear.x)
+
+        monkeypatch.setattr(node.speeds, "publish", note)
+        world.at(1.1, node)
+        node.on_stop_request(Bool(data=True))
+        for tick in range(1, 31):
+            world.at(2.0 + tick / 10, node, odom=False)
+            node.on_blind()
+    assert speeds[0] == 9.0
+    assert speeds[1:] == sorted(speeds[1:], reverse=True)
+    assert speeds[-1] < 4.0
 
 
 @pytest.mark.parametrize("lock_step", [False, True])

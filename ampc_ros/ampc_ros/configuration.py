@@ -8,10 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
-from ampc_msgs_config import __version__
-from ampc_msgs_config.config import build, find, load, parsed, shipped
+from ampc_msgs_config.config import build, find, load, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     Checked,
@@ -20,6 +17,7 @@ from ampc_msgs_config.parameters import (
     SteeringParameters,
     check_range,
 )
+from ampc_msgs_config.scenario_yaml import document, read_document
 from ampc_ros.gain_table import read_gain_table
 
 CONTROLLERS = {
@@ -140,12 +138,8 @@ def to_yaml(made: Configuration, number: int) -> str:
         made: What to write.
         number: Counts the configurations of a run; each tick names the one that it used.
     """
-    content = {
-        "version": __version__,
-        "number": number,
-        **{key: asdict(v) if key in PARTS else v for key, v in made._asdict().items()},
-    }
-    return str(yaml.safe_dump(content, sort_keys=False))
+    items = made._asdict().items()
+    return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
 
 
 def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
@@ -158,10 +152,7 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
     Raises:
         ValueError: Names place, key, value and bound.
     """
-    content = parsed(text, where)
-    missing = {"number", *Configuration._fields} - content.keys()
-    if missing:
-        raise ValueError(f"{where}: missing key {sorted(missing)[0]!r}")
+    content = read_document(text, where, Configuration._fields)
     check_plain(content, where)
     values = {key: content[key] for key in Configuration._fields}
     for key, cls in PARTS.items():

@@ -20,6 +20,8 @@ from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
 
 SILENCE = 0.5
 """Age of the newest state from which it is reported as stale [s]."""
+BLIND_PERIOD = 0.1
+"""From one target speed to the next while the car is to stop and no state comes [s]."""
 
 
 class PlannerNode(BaseNode):
@@ -40,6 +42,7 @@ class PlannerNode(BaseNode):
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:
             self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop_request, ros.LATCHED)
+            self.create_timer(BLIND_PERIOD, self.on_blind)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         told = document({"scenario": mapping_of(self.scenario)})
         self.configurations.publish(String(data=told))
@@ -77,6 +80,17 @@ class PlannerNode(BaseNode):
             speed = self.braking.limited(planned, state, stop=self.stop_requested)
             self.answer = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
         return self.answer
+
+    def on_blind(self) -> None:
+        """Brake on without a state: what was lost may be the reason for the stop."""
+        if not self.stop_requested or self.answer is None:
+            return
+        if self.now_ns - ros.nanoseconds(self.answer.header.stamp) <= SILENCE * NANOSECONDS:
+            return
+        speed = self.answer.twist.linear.x
+        expected = VehicleState(self.now_ns, 0.0, 0.0, 0.0, speed, 0.0, 0.0)
+        slower = self.braking.limited(speed, expected, stop=True)
+        self.speeds.publish(ros.speed_message(ros.Stamped(self.now_ns, slower)))
 
     def on_stop_request(self, message: Bool) -> None:
         """Brake from the next state on, or go on."""
