@@ -48,6 +48,26 @@ def test_compiled_code_lies_in_the_users_cache_by_version_of_the_sources(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("name", ["__init__.py", "inner/__init__.py", "inner/deeper/module.py"])
+def test_the_source_hash_changes_with_a_file_in_any_subfolder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    package = tmp_path / "a_package_of_this_test"
+    file = package / name
+    file.parent.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("ampc_msgs_config.compiled.PACKAGES", (package.name,))
+    file.write_text("ONE = 1\n")
+    before = source_hash()
+    assert source_hash() == before
+    file.write_text("ONE = 2\n")
+    assert source_hash() != before
+    file.write_text("ONE = 1\n")
+    file.rename(file.with_name("renamed.py"))
+    assert source_hash() != before
+
+
 @pytest.mark.parametrize("home", BAD_HOMES)
 @pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME"])
 def test_where_the_cache_cannot_be_written_a_temporary_folder_serves_and_one_line_says_so(

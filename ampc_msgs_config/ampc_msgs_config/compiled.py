@@ -26,7 +26,7 @@ IN_USE = 24 * 3600.0
 
 
 def source_hash() -> str:
-    """Give a digest of every source file of our packages.
+    """Return a digest of every source file of our packages, subfolders included.
 
     Note:
         numba's on-disk cache does not notice a change in a function imported from another file,
@@ -36,8 +36,9 @@ def source_hash() -> str:
     for package in PACKAGES:
         spec = importlib.util.find_spec(package)
         for folder in (spec.submodule_search_locations or ()) if spec else ():
-            for file in sorted(Path(folder).glob("*.py")):
-                digest.update(file.name.encode() + b"\0" + file.read_bytes())
+            for file in sorted(Path(folder).rglob("*.py")):
+                name = file.relative_to(folder).as_posix()
+                digest.update(name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 
 
