@@ -1,6 +1,6 @@
 """Installs ampc_msgs_config as an ament_python package."""
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 PACKAGE = "ampc_msgs_config"
 
@@ -12,7 +12,7 @@ setup(
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
-    packages=[PACKAGE],
+    packages=find_packages(include=[f"{PACKAGE}*"]),
     package_dir={"": "."},
     package_data={PACKAGE: ["py.typed", "config/**/*.yaml"]},
     data_files=[
@@ -23,8 +23,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "markers = ampc_msgs_config.marker_node:main",
-            "recorder = ampc_msgs_config.recorder_node:main",
+            "markers = ampc_msgs_config.nodes.marker_node:main",
+            "recorder = ampc_msgs_config.nodes.recorder_node:main",
         ]
     },
 )

@@ -1,6 +1,6 @@
 """Installs ampc_ros as an ament_python package."""
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 PACKAGE = "ampc_ros"
 VIEWERS = ["viewers/ampc.rviz", "viewers/foxglove.json", "viewers/plotjuggler.xml"]
@@ -13,7 +13,7 @@ setup(
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
-    packages=[PACKAGE],
+    packages=find_packages(include=[f"{PACKAGE}*"]),
     package_dir={"": "."},
     package_data={PACKAGE: ["py.typed"]},
     data_files=[
@@ -27,8 +27,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "controller = ampc_ros.controller_node:main",
-            "planner = ampc_ros.planner_node:main",
+            "controller = ampc_ros.nodes.controller_node:main",
+            "planner = ampc_ros.nodes.planner_node:main",
         ]
     },
 )

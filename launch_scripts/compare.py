@@ -19,10 +19,10 @@ from rich.text import Text
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters, check_range
-from ampc_msgs_config.path_file import Route, choose_scenario
-from ampc_msgs_config.scenario import Scenario
+from ampc_msgs_config.paths.path_file import Route, choose_scenario
+from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_ros.configuration import CONTROLLERS, default_table
-from launch_scripts.compare_cells import (
+from launch_scripts.comparing.cells import (
     QUANTITIES,
     Cell,
     Conditions,
@@ -31,8 +31,8 @@ from launch_scripts.compare_cells import (
     drive_cell,
     plant,
 )
-from launch_scripts.compare_page import write
-from launch_scripts.compare_table import Comparison, table_of
+from launch_scripts.comparing.page import write
+from launch_scripts.comparing.table import Comparison, table_of
 from sim_vehicle.car import RANGES
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 

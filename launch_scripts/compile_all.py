@@ -4,7 +4,7 @@ import sys
 import time
 
 from ampc_msgs_config.config import find
-from ampc_msgs_config.scenario import load_scenario
+from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller, warm_up
 from sim_vehicle.closed_loop import Simulation, drive

@@ -12,10 +12,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ampc_msgs_config.bag import check, files, is_closed, plain
-from ampc_msgs_config.bag_metadata import FILE_NAME, Extent, Topic, read_metadata, write_metadata
-from ampc_msgs_config.salvage import Salvage, salvage
+from ampc_msgs_config.recording.bag_metadata import (
+    FILE_NAME,
+    Extent,
+    Topic,
+    read_metadata,
+    write_metadata,
+)
 from ampc_msgs_config.types import NANOSECONDS
+from launch_scripts.bags.bag import check, files, is_closed, plain
+from launch_scripts.bags.salvage import Salvage, salvage
 
 SILENCE = NANOSECONDS
 """Of topics whose last message lies longer than this before the end, that is told [ns]."""

@@ -24,13 +24,13 @@ from rich.text import Text
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import shipped
 from ampc_msgs_config.metrics import Drive, evaluate
-from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
-from ampc_ros.rehearsal import rehearse
-from ampc_ros.supervisor import Decision, Supervisor
-from launch_scripts.recorded_run import RecordedRun, RecordedTick, read_run
-from launch_scripts.repetition import (
+from ampc_ros.supervision.rehearsal import rehearse
+from ampc_ros.supervision.supervisor import Decision, Supervisor
+from launch_scripts.replaying.recorded_run import RecordedRun, RecordedTick, read_run
+from launch_scripts.replaying.repetition import (
     Change,
     Difference,
     differences,
@@ -39,7 +39,7 @@ from launch_scripts.repetition import (
     with_gains,
     with_value,
 )
-from launch_scripts.result import LABELS
+from launch_scripts.run.result import LABELS
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 

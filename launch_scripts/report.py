@@ -20,12 +20,12 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
-from launch_scripts.report_drive import Judged, judge_bag
-from launch_scripts.report_known import Given
-from launch_scripts.report_page import Judgement, page
-from launch_scripts.report_summary import QUANTITIES, Thresholds, verdicts
-from launch_scripts.report_tables import bound, measured, shown
-from launch_scripts.reproduce import plain
+from launch_scripts.reporting.drive import Judged, judge_bag
+from launch_scripts.reporting.known import Given
+from launch_scripts.reporting.page import Judgement, page
+from launch_scripts.reporting.summary import QUANTITIES, Thresholds, verdicts
+from launch_scripts.reporting.tables import bound, measured, shown
+from launch_scripts.run.json_values import to_json
 from sim_vehicle.parameters import load_vehicle
 
 FAILED, WRONG = 1, 2
@@ -121,7 +121,9 @@ def write(file: Path, drives: Sequence[Judged], judgement: Judgement | None, mad
     text = page(drives, judgement, f"{made}, {now}")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text, encoding="utf-8")
-    content = json.dumps(plain(numbers(drives, judgement)), indent=2, allow_nan=False, default=str)
+    content = json.dumps(
+        to_json(numbers(drives, judgement)), indent=2, allow_nan=False, default=str
+    )
     file.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
 
 

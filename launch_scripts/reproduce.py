@@ -7,7 +7,6 @@ authors' released code does instead of the paper.
 
 import argparse
 import json
-import math
 import os
 import platform
 import shlex
@@ -24,19 +23,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
-from launch_scripts.reproduce_cases import SHORT, SWITCHES, Authors, Run
-from launch_scripts.reproduce_claims import DIRECTION, NO, PAPER, YES, claims
-from launch_scripts.reproduce_figures import (
-    draw_adaptation,
-    draw_lines,
-    draw_sphere,
-    save_png,
-    svg,
-)
-from launch_scripts.reproduce_measure import Plan, measure, quick, steps
-from launch_scripts.reproduce_page import page
-from launch_scripts.reproduce_road_figure import draw_road
-from launch_scripts.reproduce_search import DISTANCES
+from launch_scripts.reporting.style import save_png, svg
+from launch_scripts.run.json_values import to_json
+from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.cases import SHORT, SWITCHES, Authors
+from launch_scripts.study.claims import DIRECTION, NO, PAPER, YES, claims
+from launch_scripts.study.figures import draw_adaptation, draw_lines, draw_sphere
+from launch_scripts.study.measure import Plan, measure, quick, steps
+from launch_scripts.study.page import page
+from launch_scripts.study.road_figure import draw_road
+from launch_scripts.study.search import DISTANCES
 
 PICTURES = ("sc2", "sweep", "sphere")
 """Figures that the documentation shows."""
@@ -149,7 +145,9 @@ def judged(results: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> dict[str, Figure]:
+def draw(
+    results: Mapping[str, Any], runs: Mapping[str, Mapping[str, SimulatedDrive]]
+) -> dict[str, Figure]:
     """Draw all figures."""
     figures = {road: draw_road(row) for road, row in runs.items()}
     figures["adaptation"] = draw_adaptation(runs.get("sc3_varying") or runs["sc2"])
@@ -185,15 +183,6 @@ def draw(results: Mapping[str, Any], runs: Mapping[str, Mapping[str, Run]]) -> d
     return figures
 
 
-def plain(value: Any) -> Any:
-    """Give a value as JSON knows it: no nan, no infinity."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, judge, draw, write."""
     chosen, console, begin = options(arguments), Console(highlight=False), time.monotonic()
@@ -212,7 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen.pictures.mkdir(parents=True, exist_ok=True)
         for name in PICTURES:
             save_png(figures[name], chosen.pictures / f"reproduce_{name}.png")
-    content = json.dumps(plain(results), indent=1, allow_nan=False) + "\n"
+    content = json.dumps(to_json(results), indent=1, allow_nan=False) + "\n"
     (chosen.output / "results.json").write_text(content, encoding="utf-8")
     for claim in results["claims"]:
         console.print(f"{claim['verdict']:>14}  {claim['claim']}")

@@ -18,15 +18,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.bag import is_complete
-from ampc_msgs_config.message_types import TYPES
-from ampc_msgs_config.path_file import Route
-from ampc_msgs_config.scenario import Scenario
-from launch_scripts.environment import ros_environment
-from launch_scripts.processes import Processes
+from ampc_msgs_config.paths.path_file import Route
+from ampc_msgs_config.recording.message_types import TYPES
+from ampc_msgs_config.scenarios.scenario import Scenario
+from launch_scripts.bags.bag import is_complete
 from launch_scripts.recover import default_output, recover
-from launch_scripts.result import Run, judge
-from launch_scripts.start_options import options, prepare
+from launch_scripts.run.environment import ros_environment
+from launch_scripts.run.options import options, prepare
+from launch_scripts.run.processes import Processes
+from launch_scripts.run.result import Run, judge
 
 START_TIME_OUT = 180.0
 """Wall time for the nodes to find each other, which includes compiling after an update [s]."""
@@ -104,19 +104,19 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if given["faults"] else {}
     if given["faults"]:
         record["topics"] = [f"{new}:{TYPES[topic]}" for topic, new in renamed.items()]
-    nodes.start("recorder", "ampc_msgs_config.recorder_node", record)
-    nodes.start("planner", "ampc_ros.planner_node", common | route)
+    nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record)
+    nodes.start("planner", "ampc_ros.nodes.planner_node", common | route)
     if given["faults"]:
-        nodes.start("injector", "launch_scripts.inject_node", {"faults": given["faults"]})
-    nodes.start("controller", "ampc_ros.controller_node", common | control, renamed)
-    nodes.start("simulator", "sim_vehicle.simulator_node", common | route | plant)
+        nodes.start("injector", "launch_scripts.nodes.injector_node", {"faults": given["faults"]})
+    nodes.start("controller", "ampc_ros.nodes.controller_node", common | control, renamed)
+    nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant)
     look = {key: common[key] for key in ("lock_step", "vehicle")}
-    nodes.start("markers", "ampc_msgs_config.marker_node", look)
+    nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
     """Show the progress until the simulator has ended the drive."""
-    from launch_scripts.drive_watch import DriveWatch  # needs the environment that main() set
+    from launch_scripts.nodes.drive_watch import DriveWatch  # needs the environment that main() set
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
     told: set[str] = set()

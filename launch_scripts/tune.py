@@ -18,16 +18,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.text import Text
 
 from ampc_msgs_config.config import shipped
-from ampc_ros.pso_settings import PsoSettings
-from ampc_ros.swarm import Swarm
-from launch_scripts.fitness import FITNESS
-from launch_scripts.tuned_table import provenance_of, text_of
-from launch_scripts.tuning_files import Checkpoints, write_whole
-from launch_scripts.tuning_report import Report, as_json, lines_of, prove
-from launch_scripts.tuning_search import carry_out
-from launch_scripts.tuning_space import PRESETS, SYMBOLS, read_bounds, read_fixed, search_space
-from launch_scripts.tuning_task import Job, Task, check, describe, jobs_of
-from launch_scripts.workers import Workers, open_workers
+from ampc_ros.pso.settings import PsoSettings
+from ampc_ros.pso.swarm import Swarm
+from launch_scripts.tuning.files import Checkpoints, write_whole
+from launch_scripts.tuning.fitness import FITNESS
+from launch_scripts.tuning.report import Report, as_json, lines_of, prove
+from launch_scripts.tuning.search import carry_out
+from launch_scripts.tuning.space import PRESETS, SYMBOLS, read_bounds, read_fixed, search_space
+from launch_scripts.tuning.table import provenance_of, text_of
+from launch_scripts.tuning.task import Job, Task, check, describe, jobs_of
+from launch_scripts.tuning.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
 ELSEWHERE = ("output", "resume", "workers", "processes", "scheduler", "trust_scheduler")

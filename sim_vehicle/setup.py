@@ -1,6 +1,6 @@
 """Installs sim_vehicle as an ament_python package."""
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 PACKAGE = "sim_vehicle"
 
@@ -12,7 +12,7 @@ setup(
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
-    packages=[PACKAGE],
+    packages=find_packages(include=[f"{PACKAGE}*"]),
     package_dir={"": "."},
     package_data={PACKAGE: ["py.typed"]},
     data_files=[
@@ -21,5 +21,5 @@ setup(
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["simulator = sim_vehicle.simulator_node:main"]},
+    entry_points={"console_scripts": ["simulator = sim_vehicle.nodes.simulator_node:main"]},
 )

@@ -16,13 +16,14 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ampc_msgs_config import recording, ros
-from ampc_msgs_config.bag import Entry
-from ampc_msgs_config.message_types import message_class, type_name_of
-from ampc_msgs_config.recorder_node import CONTRACT, LATCHED
-from ampc_msgs_config.recording import Recording
-from ampc_msgs_config.transforms import TF_MESSAGE
+from ampc_msgs_config import ros
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED
+from ampc_msgs_config.recording import bag_writer as recording
+from ampc_msgs_config.recording.bag_writer import Recording
+from ampc_msgs_config.recording.message_types import message_class, type_name_of
+from ampc_msgs_config.recording.transforms import TF_MESSAGE
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from launch_scripts.bags.bag import Entry
 
 TICK_NS = NANOSECONDS // 10
 

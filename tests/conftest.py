@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import pytest
 from domain_coordinator import domain_id
 
-from launch_scripts.environment import ros_environment
+from launch_scripts.run.environment import ros_environment
 
 
 @pytest.fixture(scope="session", autouse=True)

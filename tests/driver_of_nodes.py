@@ -17,7 +17,7 @@ from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.controller_node import ControllerNode
+from ampc_ros.nodes.controller_node import ControllerNode
 from tests.ros_nodes import add, spin_until
 
 CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from ampc_msgs_config.path import Array
-from ampc_ros import constraints, hildreth, laguerre, model, prediction, preview_model
-from ampc_ros.active_set import solution_of
-from ampc_ros.belief import Actuator
-from ampc_ros.model import STATES, Vehicle
-from ampc_ros.preview_model import SampledModel
-from ampc_ros.qp import Qp, QpSolution
-from ampc_ros.small_matrices import make_scratch
+from ampc_msgs_config.paths.path import Array
+from ampc_ros.mpc import constraints, hildreth, laguerre, model, prediction
+from ampc_ros.mpc.active_set import solution_of
+from ampc_ros.mpc.internal_model import Actuator
+from ampc_ros.mpc.model import STATES, Vehicle
+from ampc_ros.mpc.qp import Qp, QpSolution
+from ampc_ros.mpc.small_matrices import make_scratch
+from ampc_ros.preview import model as preview_model
+from ampc_ros.preview.model import SampledModel
 
 ENOUGH = 4000
 """Scratch numbers for any function here but the solvers."""

@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.message_types import define
+from ampc_msgs_config.recording.message_types import define
 from ampc_msgs_config.types import VehicleState
 
 QOS_OF_HUMBLE = """- history: 3

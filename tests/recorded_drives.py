@@ -7,11 +7,11 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.message_types import type_name_of
-from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.recording.bag_writer import Recording
+from ampc_msgs_config.recording.message_types import type_name_of
 from ampc_msgs_config.types import VehicleState
 from ampc_ros.configuration import to_yaml
-from ampc_ros.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Decision, Supervisor
 
 
 class Bag:

@@ -7,8 +7,8 @@ import numpy as np
 from rclpy.serialization import serialize_message
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.message_types import type_name_of
-from ampc_msgs_config.recording import Recording
+from ampc_msgs_config.recording.bag_writer import Recording
+from ampc_msgs_config.recording.message_types import type_name_of
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 TICK_NS = NANOSECONDS // 10

@@ -7,22 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.scenario import SpeedPlanner
+from ampc_msgs_config.scenarios.scenario import SpeedPlanner
 from ampc_msgs_config.types import (
     NANOSECONDS,
     Supervision,
     as_received,
 )
 from ampc_ros.configuration import Choices, Configuration, configuration
-from ampc_ros.supervisor import Decision, Supervisor
-from launch_scripts.trials import (
-    Driven,
-    Trial,
-    believed_vehicle,
-    judged,
-    plant,
-    scenario_of,
-)
+from ampc_ros.supervision.supervisor import Decision, Supervisor
+from launch_scripts.run.simulated import SimulatedDrive
+from tests.workshop.acceptance.trials import Trial, believed_vehicle, judged, plant, scenario_of
 
 Fault = Callable[[float], bool]
 """Whether there is one at a time [s]."""
@@ -41,7 +35,7 @@ def between(begin: float, end: float) -> Fault:
 class Run(NamedTuple):
     """A finished drive, and what was decided in it."""
 
-    driven: Driven
+    driven: SimulatedDrive
     decisions: list[Decision]
     times: list[float]
     """Of the decisions [s]."""

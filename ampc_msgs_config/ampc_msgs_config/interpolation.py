@@ -1,7 +1,7 @@
 """Tables that compiled code reads."""
 
 from ampc_msgs_config.compiled import compiled
-from ampc_msgs_config.path import Array
+from ampc_msgs_config.paths.path import Array
 
 
 @compiled

@@ -6,12 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.path import Array, Path, Progress
-from ampc_msgs_config.path_frame import path_frame, place, set_point
+from ampc_msgs_config.paths.path import Array, Path, Progress
+from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
 
 REVERSAL_BAND = math.radians(0.2)
 """Smaller movements of the road wheel are no reversal; 3 deg at a steering wheel geared 16 to 1."""
+LOST = 10.0
+"""Cross-track error beyond which a car counts as lost [m]."""
 
 
 class Drive(NamedTuple):

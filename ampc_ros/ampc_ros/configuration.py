@@ -17,8 +17,8 @@ from ampc_msgs_config.parameters import (
     SteeringParameters,
     check_range,
 )
-from ampc_msgs_config.scenario_yaml import document, read_document
-from ampc_ros.gain_table import read_gain_table
+from ampc_msgs_config.scenarios.scenario_yaml import document, read_document
+from ampc_ros.mpc.gain_table import read_gain_table
 
 CONTROLLERS = {
     "preview": "adaptive MPC on the path ahead, with the actuator in its model",

@@ -4,13 +4,13 @@ import math
 from contextlib import suppress
 from typing import Protocol
 
-from ampc_msgs_config.path import Path
-from ampc_msgs_config.path_making import make_path
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
 from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
-from ampc_ros.gain_table import gain_table
-from ampc_ros.lateral_mpc import LateralMpc
-from ampc_ros.preview import PreviewMpc
+from ampc_ros.mpc.gain_table import gain_table
+from ampc_ros.paper.controller import LateralMpc
+from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 
 STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]

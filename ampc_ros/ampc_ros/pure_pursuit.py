@@ -3,7 +3,7 @@
 import math
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.path import Path, Progress, point_at
+from ampc_msgs_config.paths.path import Path, Progress, point_at
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance
 
 

@@ -9,9 +9,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.base_node import NO_EVENTS
+from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_ros.configuration import to_yaml
-from ampc_ros.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Decision, Supervisor
 
 
 class Outputs:

@@ -6,11 +6,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.path import Path
-from ampc_msgs_config.path_making import make_path
-from ampc_msgs_config.scenario import Scenario, SpeedPlanner, speed_at
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, speed_at
+from ampc_msgs_config.scenarios.wind import wind_of_steps
 from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState, as_received
-from ampc_msgs_config.wind import wind_of_steps
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
 

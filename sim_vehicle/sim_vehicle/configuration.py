@@ -7,9 +7,15 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from ampc_msgs_config.config import build
-from ampc_msgs_config.curves import bounded, check_known
-from ampc_msgs_config.scenario import Scenario
-from ampc_msgs_config.scenario_yaml import document, mapping_of, read_document, require, scenario_of
+from ampc_msgs_config.paths.curves import bounded, check_known
+from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.scenarios.scenario_yaml import (
+    document,
+    mapping_of,
+    read_document,
+    require,
+    scenario_of,
+)
 from sim_vehicle.closed_loop import STEP_NS, Simulation
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 

@@ -18,7 +18,7 @@ from ampc_msgs_config.parameters import (
     choice,
     number,
 )
-from ampc_msgs_config.scenario import SPEED_PREVIEW
+from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
 
 GRAVITY = 9.81
 """[m/s^2]"""

@@ -1,0 +1,1 @@
+"""ROS nodes that serve every package: base class, recorder, markers."""

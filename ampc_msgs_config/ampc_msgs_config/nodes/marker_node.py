@@ -1,0 +1,179 @@
+"""Node `markers`: draws the drive for RViz2 and Foxglove. `ros2 run ampc_msgs_config markers`.
+
+It listens to the drive only while somebody looks, draws at most 20 times a second whatever the
+speed of the drive, and nobody waits for it.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, Vector3, Vector3Stamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.scene import NO_POINTS, Car, Shape, View, car_of, shapes, thinned
+from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
+from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import VehicleState, quaternion_from_yaw
+
+PERIOD = 0.05
+"""Wall time from one picture to the next [s]."""
+LIFETIME = 2
+"""After which a viewer takes away what nobody draws any more, in simulated time where it follows
+that: a drive in lock-step runs up to 20 times as fast as the wall clock [s]."""
+KINDS = {
+    "cube": Marker.CUBE,
+    "line": Marker.LINE_STRIP,
+    "arrow": Marker.ARROW,
+    "text": Marker.TEXT_VIEW_FACING,
+}
+
+
+class MarkerNode(BaseNode):
+    """Keeps the newest message of each input, and unpacks it when it draws."""
+
+    def __init__(self) -> None:
+        """Load the car; listen to nothing yet."""
+        super().__init__("markers")
+        self.car = self._car()
+        self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
+            ros.ODOM: (Odometry, ros.NEWEST, ros.vehicle_state),
+            ros.STEERING_COMMAND: (JointState, ros.NEWEST, ros.steering_angle),
+            ros.STEERING_STATE: (JointState, ros.NEWEST, ros.steering_angle),
+            ros.REFERENCE_PATH: (PathMessage, ros.LATCHED, points_of),
+            ros.PREDICTED_PATH: (PathMessage, ros.NEWEST, points_of),
+            ros.WIND: (Vector3Stamped, ros.NEWEST, wind_of),
+            ros.STOP_REQUEST: (Bool, ros.LATCHED, lambda message: bool(message.data)),
+        }
+        self.inputs: list[Subscription] = []
+        self.new: dict[str, Any] = {}
+        self.known: dict[str, Any] = {}
+        self.pictures = 0
+        self.publisher = self.create_publisher(MarkerArray, ros.MARKERS, ros.COMMAND)
+        self.create_timer(PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self.on_diagnostics)
+        self.get_logger().info("ready")
+
+    def _car(self) -> Car:
+        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
+        to_cg = declare(
+            self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
+        )
+        chassis = load(ChassisParameters, file, "chassis")
+        return car_of(chassis, load(SizeParameters, file, "size"), to_cg)
+
+    def on_timer(self) -> None:
+        """Draw what is new since the last picture, if somebody looks."""
+        if not self.publisher.get_subscription_count():
+            self.leave()
+        elif not self.inputs:
+            self.join()
+        elif self.learn():
+            self.draw()
+
+    def join(self) -> None:
+        """Listen to the drive."""
+        for topic, (message_type, qos, _) in self.sources.items():
+            keep = partial(self.new.__setitem__, topic)
+            self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
+
+    def leave(self) -> None:
+        """Listen no longer, and forget."""
+        while self.inputs:
+            self.destroy_subscription(self.inputs.pop())
+        self.new.clear()
+        self.known.clear()
+
+    def learn(self) -> bool:
+        """Unpack what has come; tells whether there is a new state. Bad input is left out."""
+        came = {topic: self.new.pop(topic) for topic in list(self.new)}
+        learned = set()
+        for topic, message in came.items():
+            try:
+                self.known[topic] = self.sources[topic][2](message)
+                learned.add(topic)
+            except (ValueError, OverflowError) as error:
+                self.reject(ValueError(f"{topic}: {error}"))
+        return ros.ODOM in learned
+
+    def draw(self) -> None:
+        """Publish a picture of what is known."""
+        known, straight = self.known, ros.Stamped(0, 0.0)
+        state: VehicleState = known[ros.ODOM]
+        view = View(
+            state,
+            known.get(ros.STEERING_STATE, known.get(ros.STEERING_COMMAND, straight)).value,
+            known.get(ros.WIND, (0.0, 0.0)),
+            known.get(ros.REFERENCE_PATH, NO_POINTS),
+            known.get(ros.PREDICTED_PATH, NO_POINTS),
+            known.get(ros.STOP_REQUEST, False),
+        )
+        markers = [marker(shape, state.stamp_ns) for shape in shapes(view, self.car)]
+        self.publisher.publish(MarkerArray(markers=markers))
+        self.pictures += 1
+
+    def on_diagnostics(self) -> None:
+        """Report health once a second, while somebody looks."""
+        if self.inputs:
+            waiting = "" if ros.ODOM in self.known else "waiting for odom"
+            self.report(self.now_ns, waiting, {"pictures": self.pictures})
+
+
+def points_of(message: PathMessage) -> Array:
+    """Unpack a path, thinned (n, 2) [m]; an empty one is a path that is gone.
+
+    Raises:
+        ValueError: It is in another frame than `map`, or not finite.
+    """
+    if message.header.frame_id != ros.MAP:
+        raise ValueError(f"frame_id = {message.header.frame_id!r} must be {ros.MAP!r}")
+    positions = [pose.pose.position for pose in message.poses]
+    return thinned(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
+
+
+def wind_of(message: Vector3Stamped) -> tuple[float, float]:
+    """Unpack a wind [m/s].
+
+    Raises:
+        ValueError: It is not finite.
+    """
+    wind = message.vector.x, message.vector.y
+    if not all(map(math.isfinite, wind)):
+        raise ValueError(f"vector = {wind} must be finite")
+    return wind
+
+
+def marker(shape: Shape, stamp_ns: int) -> Marker:
+    """Pack a shape."""
+    message = Marker(ns=shape.name, id=shape.number, type=KINDS[shape.kind], text=shape.text)
+    message.header.frame_id, message.header.stamp = ros.MAP, ros.time_message(stamp_ns)
+    message.lifetime.sec = LIFETIME
+    message.scale = Vector3(**dict(zip("xyz", map(float, shape.size), strict=True)))
+    message.color = ColorRGBA(**dict(zip("rgba", shape.colour, strict=True)))
+    at, turned = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z = shape.position
+    turned.z, turned.w = quaternion_from_yaw(shape.yaw)
+    message.points = [Point(x=x, y=y, z=shape.height) for x, y in shape.points.tolist()]
+    return message
+
+
+def main() -> int:
+    """Run the node."""
+    return spin(MarkerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

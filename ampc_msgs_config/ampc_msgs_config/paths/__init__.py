@@ -1,0 +1,1 @@
+"""Reference paths: splines, progress along them, CSV files, curve shapes."""

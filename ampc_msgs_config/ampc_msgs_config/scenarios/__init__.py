@@ -1,0 +1,1 @@
+"""Scenarios: road, speed profile, wind, start."""

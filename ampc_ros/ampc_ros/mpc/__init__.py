@@ -1,0 +1,1 @@
+"""Parts of both MPC formulations: model, prediction, constraints, QP solvers, gains."""

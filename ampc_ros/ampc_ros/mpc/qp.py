@@ -1,0 +1,92 @@
+"""The quadratic programme of Eq. (17), and its transformation to a nearest point."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ampc_msgs_config.compiled import in_place, inlined
+from ampc_ros.mpc.small_matrices import Scratch, cholesky, dot, forward, matrix, vector
+
+Array = NDArray[np.float64]
+
+SOLVED, INFEASIBLE, UNFINISHED, NOT_CONVEX = 0, 1, 2, 3
+
+
+class Qp(NamedTuple):
+    """Minimise 1/2 x' E x + x' K subject to low <= M x <= high, Eq. (17) with rows of two sides."""
+
+    E: Array
+    """(n, n), symmetric and positive definite."""
+    K: Array
+    """(n,)."""
+    M: Array
+    """(m, n)."""
+    low: Array
+    """(m,), may be -inf."""
+    high: Array
+    """(m,), may be inf."""
+
+
+class QpSolution(NamedTuple):
+    """What a solver gives back; unless `converged`, x must not be applied."""
+
+    x: Array
+    """(n,)."""
+    multipliers: Array
+    """lambda of Eq. (30), (m,): positive at the upper bound, negative at the lower one."""
+    iterations: int
+    """Rows that entered the active set, or sweeps."""
+    status: int
+    """SOLVED, INFEASIBLE, UNFINISHED or NOT_CONVEX."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether x is the minimiser."""
+        return self.status == SOLVED
+
+
+class NearestPoint(NamedTuple):
+    """The same in w = C' x, with E = C C': the point of a polyhedron nearest to `start`."""
+
+    C: Array
+    """(n, n), lower triangular."""
+    start: Array
+    """Unconstrained minimum -C^-1 K (n,)."""
+    scale: float
+    """Its length: the size of the numbers in the problem."""
+    status: int
+    """SOLVED; NOT_CONVEX; INFEASIBLE if low > high; UNFINISHED if numbers are not finite."""
+
+
+@inlined
+def nearest_point(qp: Qp, scratch: Scratch) -> NearestPoint:
+    """Transform a programme."""
+    n = len(qp.K)
+    C, start = matrix(scratch, n, n), vector(scratch, n)
+    if not cholesky(qp.E, C):
+        for j in range(n):
+            C[j, j] = 1.0
+        return NearestPoint(C, start, 0.0, NOT_CONVEX)
+    forward(C, qp.K, n, start)
+    for j in range(n):
+        start[j] = -start[j]
+    scale = math.sqrt(dot(start, start))
+    status = SOLVED if scale < math.inf else UNFINISHED
+    for i in range(len(qp.low)):
+        if qp.low[i] > qp.high[i]:
+            status = INFEASIBLE
+    return NearestPoint(C, start, scale, status)
+
+
+@in_place
+def unit_row(C: Array, row: Array, side: float, unit: Array) -> float:
+    """Fill the unit row that acts on w = C' x as side * row (n,) on x; gives the length lost."""
+    forward(C, row, len(row), unit)
+    length = math.sqrt(dot(unit, unit))
+    if not length > 0.0:
+        return 1.0
+    for j in range(len(unit)):
+        unit[j] *= side / length
+    return length

@@ -1,0 +1,1 @@
+"""Controller node and planner node."""

@@ -1,0 +1,1 @@
+"""The preview formulation of the controller, the default."""

@@ -1,0 +1,1 @@
+"""Input checks, fallbacks and guard around a controller."""

@@ -1,0 +1,1 @@
+"""Reading MCAP bags."""

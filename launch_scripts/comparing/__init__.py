@@ -1,0 +1,1 @@
+"""Comparison of controllers over scenarios."""

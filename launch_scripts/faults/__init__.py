@@ -1,0 +1,1 @@
+"""Injected faults: schedule, kinds, changes to messages."""

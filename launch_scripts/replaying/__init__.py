@@ -1,0 +1,1 @@
+"""Repeating a recorded drive without ROS."""

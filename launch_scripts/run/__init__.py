@@ -1,0 +1,1 @@
+"""Starting nodes and following a drive."""

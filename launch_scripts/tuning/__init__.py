@@ -1,0 +1,1 @@
+"""Offline tuning of gain tables."""

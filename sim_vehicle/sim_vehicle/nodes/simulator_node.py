@@ -1,0 +1,247 @@
+"""Node `simulator`: the car that really drives. `ros2 run sim_vehicle simulator`.
+
+Real-time mode runs free on the node's clock. In lock-step the node owns the time: it publishes
+`/clock` and a state, and moves on only when steering and target speed have answered that state.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.nodes.base_node import BaseNode, declare, declare_scenario, spin
+from ampc_msgs_config.types import NANOSECONDS
+from sim_vehicle.closed_loop import STEP_NS
+from sim_vehicle.configuration import Configuration, to_yaml
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+
+PERIOD_NS = 100_000_000
+"""Control period in lock-step [ns]."""
+REAL_TIME_PERIOD = 0.02
+"""Time from one state to the next in real-time mode [s]."""
+SILENCE = 0.5
+"""Age of an answer from which it is reported as missing, in real time [s]."""
+RESEND = 0.2
+"""Wall time after which an unanswered state is published again [s]."""
+TIMED_OUT = 3
+"""Exit code where a peer is lost."""
+
+
+class SimulatorNode(BaseNode):
+    """Publishes the state of the car, and moves it under the commands that come back."""
+
+    def __init__(self) -> None:
+        """Load the car and the drive; the first state goes out once both peers are there."""
+        super().__init__("simulator", owns_time=True)
+        self.made = self._made()
+        self.simulation = self.made.simulation()
+        self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles, as `measure` does
+        self.simulation.car.measure(0)
+        self.simulation = self.made.simulation()
+        limits = (0.1, 3600.0)
+        self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
+        self.start_time_out = declare(
+            self, "start_time_out", 60.0, "longest wait for the other nodes [s]", limits
+        )
+        self.start_ns = NANOSECONDS
+        self.state: list[tuple[Publisher, Any]] = []
+        self.answers: dict[str, ros.Stamped] = {}
+        self.waiting_since = time.monotonic()
+        self._publish_and_subscribe()
+        self.wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.start_timer = self.create_timer(0.02, self.wait_for_peers, clock=self.wall)
+        self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
+        name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
+        self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
+
+    def _made(self) -> Configuration:
+        """Declare the parameters of drive and car, and load what they name."""
+        scenario = declare_scenario(self)
+        vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
+        friction = declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
+        name = declare(self, "noise", "", "of the measurement: shipped one, or YAML file")
+        seed = declare(self, "seed", 0, "of the noise", (0, 2**31 - 1))
+        return Configuration(
+            vehicle,
+            scenario,
+            friction=None if friction < 0 else friction,
+            noise=load(MeasurementNoise, find("noise", name)) if name else None,
+            seed=seed,
+            lock_step=self.lock_step,
+        )
+
+    def _publish_and_subscribe(self) -> None:
+        self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
+        self.wind = self.create_publisher(Vector3Stamped, ros.WIND, ros.RELIABLE)
+        self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
+        self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
+        self.configurations.publish(String(data=to_yaml(self.made)))
+        if self.lock_step:
+            self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
+        self.peers = [
+            self._listen(JointState, ros.STEERING_COMMAND, ros.steering_angle),
+            self._listen(TwistStamped, ros.TARGET_SPEED, ros.target_speed),
+        ]
+
+    def _listen(self, kind: Any, topic: str, unpack: Callable[[Any], ros.Stamped]) -> Subscription:
+        return self.create_subscription(
+            kind, topic, partial(self.on_answer, topic, unpack), ros.COMMAND
+        )
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the present state [ns]."""
+        return self.start_ns + self.simulation.elapsed_ns
+
+    def wait_for_peers(self) -> None:
+        """Start once both answers have a publisher, and the recorder listens if there is one."""
+        missing = [peer.topic_name for peer in self.peers if not peer.get_publisher_count()]
+        if missing:
+            self.check_time_out(f"nobody publishes {' and '.join(missing)}", self.start_time_out)
+        elif unrecorded := self.unrecorded():
+            self.check_time_out(f"nobody records {' and '.join(unrecorded)}", self.start_time_out)
+        else:
+            self.begin()
+
+    def begin(self) -> None:
+        """Publish the first state, and set the timer that goes on."""
+        self.destroy_timer(self.start_timer)
+        self.waiting_since = time.monotonic()
+        if self.lock_step:
+            self.create_timer(RESEND, self.on_unanswered, clock=self.wall)
+            self.publish_state()
+        else:
+            self.create_timer(REAL_TIME_PERIOD, self.on_real_time)
+
+    def on_answer(self, topic: str, unpack: Callable[[Any], ros.Stamped], message: Any) -> None:
+        """Take a steering angle or a target speed."""
+        try:
+            answer = unpack(message)
+        except ValueError as error:
+            self.reject(error)
+            return
+        if not self.lock_step:
+            self.answers[topic] = answer._replace(stamp_ns=self.now_ns)
+        elif answer.stamp_ns == self.stamp_ns:
+            self.answers[topic] = answer
+            if not self.unanswered():
+                self.move(PERIOD_NS)
+                self.answers.clear()
+                self.waiting_since = time.monotonic()
+
+    def unanswered(self) -> list[str]:
+        """Give the topics that still have to answer."""
+        return [t for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED) if t not in self.answers]
+
+    def on_unanswered(self) -> None:
+        """Lock-step: publish an unanswered state again; give up after the time-out."""
+        if time.monotonic() - self.waiting_since < RESEND:
+            return
+        at = self.simulation.elapsed_ns / NANOSECONDS
+        missing = " and no ".join(self.unanswered())
+        self.check_time_out(f"no {missing} answered the state at {at:.1f} s", self.time_out)
+        self.send()
+
+    def on_real_time(self) -> None:
+        """Move on under the newest answers; the car waits at its start for the first ones."""
+        if missing := self.unanswered():
+            self.start_ns = self.now_ns
+            self.publish_state()
+            self.check_time_out(f"no {' and no '.join(missing)}", self.start_time_out)
+            return
+        due_ns = self.now_ns - self.stamp_ns
+        if due_ns < 0:
+            self.get_logger().warning("time went backwards: the car is at its start again")
+            self.simulation, self.start_ns = self.made.simulation(), self.now_ns
+        elif due_ns >= STEP_NS:
+            self.check_silence()
+            self.move(due_ns // STEP_NS * STEP_NS)
+
+    def check_silence(self) -> None:
+        """Real time: end the drive where nobody has driven for the time-out."""
+        for topic, answer in self.answers.items():
+            if self.now_ns - answer.stamp_ns > self.time_out * NANOSECONDS:
+                self.give_up(f"no {topic} within {self.time_out:g} s")
+
+    def check_time_out(self, what: str, time_out: float) -> None:
+        """Give up if the wait has been too long [s]."""
+        if time.monotonic() - self.waiting_since > time_out:
+            self.give_up(f"{what} within {time_out:g} s")
+
+    def give_up(self, why: str) -> None:
+        """End the drive: a peer is lost."""
+        self.get_logger().fatal(why)
+        raise SystemExit(TIMED_OUT)
+
+    def move(self, period_ns: int) -> None:
+        """Drive for a while [ns] and publish the state there, or end the drive."""
+        steering, speed = (self.answers[t].value for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED))
+        self.simulation.advance(steering, speed, period_ns)
+        if self.simulation.finished:
+            self.get_logger().info(f"drive over after {self.simulation.scenario.duration:g} s")
+            raise SystemExit(0)
+        self.publish_state()
+
+    def publish_state(self) -> None:
+        """Measure, and publish time, wind, steering angle and state."""
+        stamp_ns, car = self.stamp_ns, self.simulation.car
+        self.state = [
+            (self.wind, ros.wind_message(stamp_ns, self.simulation.wind())),
+            (self.steering, ros.joint_message(stamp_ns, car.steering, 0.0)),
+            (self.odom, ros.odometry_message(car.measure(stamp_ns))),
+        ]
+        if self.lock_step:
+            self.state.insert(0, (self.clock, ClockMessage(clock=ros.time_message(stamp_ns))))
+        self.send()
+
+    def send(self) -> None:
+        """Publish what was measured last."""
+        for publisher, message in self.state:
+            publisher.publish(message)
+
+    def on_diagnostics(self) -> None:
+        """Report health once a second; in lock-step not before the time begins."""
+        if self.lock_step and not self.state:
+            return
+        values = {
+            "elapsed": self.simulation.elapsed_ns / NANOSECONDS,
+            "duration": self.simulation.scenario.duration,
+            "speed": float(self.simulation.car.state[3]),
+        }
+        stamp_ns = self.stamp_ns if self.lock_step else self.now_ns
+        missing = "" if self.lock_step else self.missing()
+        if missing and not self.unanswered():
+            self.get_logger().warning(missing, throttle_duration_sec=5.0)
+        self.report(stamp_ns, missing, values)
+
+    def missing(self) -> str:
+        """Say, in real time, whose answers the car does without."""
+        if unanswered := self.unanswered():
+            return f"the car waits at its start for {' and '.join(unanswered)}"
+        silent = {
+            topic: (self.now_ns - answer.stamp_ns) / NANOSECONDS
+            for topic, answer in self.answers.items()
+        }
+        said = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > SILENCE]
+        return f"{' and '.join(said)}: the car goes on under the last one" if said else ""
+
+
+def main() -> int:
+    """Run the node."""
+    return spin(SimulatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

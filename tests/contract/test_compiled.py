@@ -1,0 +1,170 @@
+"""Where compiled code is kept, what is removed, and what is said while compiling."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+from ampc_msgs_config.compiled import (
+    IN_USE,
+    KEPT,
+    announced,
+    cache_folder,
+    compiled,
+    private_temporary_folder,
+    source_hash,
+    use,
+)
+
+BAD_HOMES = ["/proc/nobody", "/dev/null"]
+"""Where nobody can make a folder, not even root."""
+
+SMALL = (
+    "from ampc_ros.preview.model import understeer_gradient\n"
+    "understeer_gradient((1500.0, 2500.0, 1.2, 1.6, 5e4, 5e4))"
+)
+"""Compiles one function."""
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give a temporary folder of the machine's own."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_compiled_code_lies_in_the_users_cache_by_version_of_the_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "ampc_ros" / source_hash()
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path / "new"))
+    assert cache_folder() == tmp_path / "new" / ".cache" / "ampc_ros" / source_hash()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["__init__.py", "inner/__init__.py", "inner/deeper/module.py"])
+def test_the_source_hash_changes_with_a_file_in_any_subfolder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    package = tmp_path / "a_package_of_this_test"
+    file = package / name
+    file.parent.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("ampc_msgs_config.compiled.PACKAGES", (package.name,))
+    file.write_text("ONE = 1\n")
+    before = source_hash()
+    assert source_hash() == before
+    file.write_text("ONE = 2\n")
+    assert source_hash() != before
+    file.write_text("ONE = 1\n")
+    file.rename(file.with_name("renamed.py"))
+    assert source_hash() != before
+
+
+@pytest.mark.parametrize("home", BAD_HOMES)
+@pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME"])
+def test_where_the_cache_cannot_be_written_a_temporary_folder_serves_and_one_line_says_so(
+    home: str,
+    variable: str,
+    temporary: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv(variable, home)
+    folder = cache_folder()
+    assert folder.parent.parent == temporary
+    assert cache_folder() == folder
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith(f"warning: compiled code is kept in {folder}: ")
+    assert home in lines[0]
+
+
+def test_a_process_without_a_home_compiles_into_the_temporary_folder(tmp_path: Path) -> None:
+    environment = os.environ | {"XDG_CACHE_HOME": "/proc/nobody", "TMPDIR": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    ran = subprocess.run(
+        [sys.executable, "-c", SMALL], env=environment, capture_output=True, text=True, check=True
+    )
+    assert ran.stderr.count("\n") == 1
+    assert list(tmp_path.rglob("*.nbi"))
+
+
+def test_a_temporary_folder_that_others_can_write_is_not_used(temporary: Path) -> None:
+    private = private_temporary_folder()
+    assert private.stat().st_mode & 0o077 == 0
+    private.chmod(0o777)
+    other = private_temporary_folder()
+    assert other != private
+    assert other.stat().st_mode & 0o077 == 0
+
+
+def test_a_link_in_place_of_the_temporary_folder_is_not_followed(temporary: Path) -> None:
+    (temporary / "elsewhere").mkdir()
+    (temporary / f"ampc_ros-{os.getuid()}").symlink_to(temporary / "elsewhere")
+    assert private_temporary_folder().name != f"ampc_ros-{os.getuid()}"
+
+
+def made(base: Path, name: str, age: float) -> Path:
+    """Make the compiled code of a version that was used some time ago [s]."""
+    folder = base / name
+    folder.mkdir()
+    (folder / "code.nbc").write_bytes(b"code")
+    os.utime(folder, (time.time() - age,) * 2)
+    return folder
+
+
+def test_a_new_version_removes_old_ones_but_the_newest_and_those_in_use(tmp_path: Path) -> None:
+    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    in_use = [made(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(KEPT)]
+    new = use(tmp_path, "new")
+    assert set(tmp_path.iterdir()) == {new, *in_use}
+    assert not any(folder.exists() for folder in old)
+
+
+def test_the_newest_old_versions_stay(tmp_path: Path) -> None:
+    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    new = use(tmp_path, "new")
+    assert set(tmp_path.iterdir()) == {new, *old[: KEPT - 1]}
+
+
+def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: Path) -> None:
+    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
+    use(tmp_path, "old4")
+    assert set(tmp_path.iterdir()) == set(old)
+    assert time.time() - old[4].stat().st_mtime < 60.0
+    use(tmp_path, "new")
+    assert old[4].exists()
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
+def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is_not() -> None:
+    said: list[str] = []
+
+    @compiled
+    def inner(x: float) -> float:
+        return x + 1.0
+
+    @compiled
+    def outer(x: float) -> float:
+        return inner(x) * 2.0
+
+    with announced("controller", said.append):
+        assert said == []
+        outer(1.0)
+        assert said == ["compiling the controller (once after an update, about 20 s) ..."]
+        outer(1)
+    assert len(said) == 2
+    assert said[1].startswith("compiled the controller in ")
+    with announced("controller", said.append):
+        outer(1.0)
+    assert len(said) == 2

@@ -1,0 +1,138 @@
+"""The judge: numbers of drives that can be worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ampc_msgs_config.metrics import (
+    Drive,
+    distance_driven,
+    errors,
+    evaluate,
+    lateral_errors,
+    reversals,
+    ticks,
+    time_where,
+)
+from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+
+ROAD = make_path([(0.0, 0.0), (100.0, 0.0)])
+SLOPE = make_path([(0.0, 0.0), (60.0, 80.0)])
+
+
+def drive(left: list[float], steering: list[float], times: list[float]) -> Drive:
+    """Give a drive along the x axis at 10 m/s with these offsets, angles and times."""
+    states = [
+        VehicleState(round(t * NANOSECONDS), 10.0 * t, y, 0.0, 10.0, 0.0, 0.0)
+        for t, y in zip(times, left, strict=True)
+    ]
+    return Drive(states, np.array(steering), np.array([1e-5, 2e-5, 3e-5]))
+
+
+def along_slope(left: Array) -> Drive:
+    """Give a drive parallel to SLOPE, to its left."""
+    s, yaw = 10.0 * np.arange(len(left)), math.atan2(80.0, 60.0)
+    states = [
+        VehicleState(
+            i * NANOSECONDS // 10,
+            s[i] * math.cos(yaw) - left[i] * math.sin(yaw),
+            s[i] * math.sin(yaw) + left[i] * math.cos(yaw),
+            yaw,
+            10.0,
+            0.0,
+            0.0,
+        )
+        for i in range(len(left))
+    ]
+    return Drive(states, np.zeros(len(left)), np.ones(len(left)))
+
+
+def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
+    found = evaluate(
+        drive([1.0, -2.0, 0.0], [0.0, math.radians(3.0), math.radians(-1.0)], [5.0, 5.1, 5.2]),
+        ROAD,
+        base_link_to_cg=1.6,
+        period=0.1,
+    )
+    expected = {
+        "ticks": 3,
+        "missed_ticks": 0,
+        "mse_m2": 5.0 / 3.0,
+        "mse_lateral_m2": 5.0 / 3.0,
+        "rms_error_m": math.sqrt(5.0 / 3.0),
+        "p95_error_m": 1.9,
+        "max_error_m": 2.0,
+        "rms_heading_error_deg": 0.0,
+        "steering_reversals": 1,
+        "steering_rms_increment_deg": math.sqrt((9.0 + 16.0) / 2.0),
+        "steering_max_deg": 3.0,
+        "solve_time_p50_us": 20.0,
+        "solve_time_p99_us": 29.8,
+        "solve_time_max_us": 30.0,
+    }
+    assert found == pytest.approx({**found, **expected})
+    assert expected.keys() <= found.keys()
+
+
+@pytest.mark.parametrize(
+    ("times", "missed"),
+    [([0.0, 0.1, 0.2], 0), ([0.0, 0.2, 0.3], 1), ([0.0, 0.1, 0.6], 4), ([0.0, 0.104, 0.19], 0)],
+)
+def test_missed_ticks_are_the_gaps_of_the_stamps(times: list[float], missed: int) -> None:
+    judged = evaluate(drive([0.0] * 3, [0.0] * 3, times), ROAD, 0.0, period=0.1)
+    assert judged["missed_ticks"] == missed
+
+
+def test_time_of_ticks_counts_from_the_first() -> None:
+    times = ticks(drive([0.0] * 3, [0.0] * 3, [7.0, 7.1, 7.3]))
+    np.testing.assert_allclose(times, [0.0, 0.1, 0.3])
+
+
+def test_error_is_that_of_the_centre_of_gravity() -> None:
+    turned = VehicleState(0, 10.0, 0.0, math.pi / 2, 5.0, 0.0, 0.0)  # stands across the road
+    judged = errors(Drive([turned], np.zeros(1), np.ones(1)), ROAD, base_link_to_cg=1.6)
+    np.testing.assert_allclose(judged, [[1.6, math.pi / 2]])
+
+
+def test_both_errors_are_distances_from_a_straight_road_wherever_it_leads() -> None:
+    left = np.array([0.5, 0.0, -1.5])
+    np.testing.assert_allclose(errors(along_slope(left), SLOPE, 1.6)[:, 0], left, atol=1e-9)
+    np.testing.assert_allclose(lateral_errors(along_slope(left), SLOPE, 1.6), left, atol=1e-9)
+
+
+def test_paper_s_error_is_undefined_where_the_path_is_no_graph() -> None:
+    angle = np.linspace(0.0, 3.6, 40, dtype=np.float64)
+    bend = make_path(20.0 * np.column_stack((np.sin(angle), 1 - np.cos(angle))))
+    judged = evaluate(drive([0.0] * 3, [0.0] * 3, [0.0, 0.1, 0.2]), bend, 0.0, 0.1)
+    assert math.isnan(judged["mse_lateral_m2"])
+    assert math.isfinite(judged["mse_m2"])
+
+
+@pytest.mark.parametrize(
+    ("angles", "count"),
+    [
+        ([0.0, 0.0, 0.0], 0),
+        ([0.0, 1.0, 2.0, 3.0], 0),
+        ([0.0, 2.0, 1.0, 3.0], 2),
+        ([0.0, -2.0, -1.0, -3.0], 2),
+        ([1.0, 1.05, 0.95, 1.05, 0.95], 0),
+        ([0.0, 1.0, 0.9, 0.8, 0.7], 1),
+        ([0.0, 0.15, 0.3, 0.15, 0.05], 1),
+    ],
+)
+def test_a_reversal_is_a_turn_by_more_than_the_band(angles: list[float], count: int) -> None:
+    assert reversals(np.radians(angles), band=math.radians(0.2)) == count
+    assert reversals(-np.radians(angles), band=math.radians(0.2)) == count
+
+
+def test_time_counts_from_an_active_tick_to_the_next_one() -> None:
+    time = np.array([0.0, 0.1, 0.4, 0.5])
+    assert time_where(time, np.array([False, True, False, True])) == pytest.approx(0.3)
+
+
+def test_distance_is_the_integral_of_the_speed_forward_or_backward() -> None:
+    time, speed = np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, -4.0])
+    assert distance_driven(time, speed) == pytest.approx(3.0 + 8.0)

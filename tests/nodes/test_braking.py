@@ -1,0 +1,58 @@
+"""A requested stop: braking gently from the speed of the car, and going on gently."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.nodes.braking import COMFORTABLE, Braking
+
+TICK_NS = NANOSECONDS // 50
+
+
+def state(tick: int, v_x: float = 12.0) -> VehicleState:
+    """Give a state."""
+    return VehicleState(tick * TICK_NS, 0.0, 0.0, 0.0, v_x, 0.0, 0.0)
+
+
+def test_without_a_request_the_plan_holds() -> None:
+    braking = Braking()
+    assert [braking.limited(v, state(int(v)), stop=False) for v in (9.0, 30.0, 0.0)] == [9, 30, 0]
+
+
+def test_a_requested_stop_brakes_from_the_speed_of_the_car_to_a_standstill() -> None:
+    braking = Braking()
+    speeds = [braking.limited(20.0, state(k), stop=True) for k in range(400)]
+    assert speeds[0] == 12.0
+    steps = [COMFORTABLE * TICK_NS / NANOSECONDS] * 299
+    assert [a - b for a, b in pairwise(speeds[:300])] == pytest.approx(steps)
+    assert set(speeds[301:]) == {0.0}
+
+
+def test_a_plan_that_is_slower_anyway_holds_while_braking() -> None:
+    braking = Braking()
+    braking.limited(20.0, state(0), stop=True)
+    assert braking.limited(3.0, state(1), stop=True) == 3.0
+
+
+def test_when_the_request_is_taken_back_the_speed_rises_to_the_plan_and_is_free_again() -> None:
+    braking = Braking()
+    for tick in range(101):
+        low = braking.limited(20.0, state(tick), stop=True)
+    speeds = [braking.limited(20.0, state(101 + k), stop=False) for k in range(400)]
+    step = COMFORTABLE * TICK_NS / NANOSECONDS
+    assert speeds[0] == pytest.approx(low + step)
+    assert max(b - a for a, b in pairwise(speeds)) == pytest.approx(step)
+    assert speeds[-1] == 20.0
+    assert braking.most == math.inf
+
+
+def test_a_standing_or_rolling_back_car_is_asked_to_stand() -> None:
+    assert Braking().limited(20.0, state(0, v_x=-0.3), stop=True) == 0.0
+
+
+def test_a_clock_that_goes_back_does_not_speed_up() -> None:
+    braking = Braking()
+    braking.limited(20.0, state(100), stop=True)
+    assert braking.limited(20.0, state(50), stop=True) == 12.0

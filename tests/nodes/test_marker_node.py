@@ -1,0 +1,218 @@
+"""The node that draws: for whom it listens, what it draws, and what it survives."""
+
+import math
+import time
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Vector3Stamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.nodes.marker_node import PERIOD, MarkerNode, main
+from ampc_msgs_config.nodes.scene import MOST_POINTS, VERMILION
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from tests.ros_nodes import add, ros_context, spin_until
+
+LONG = np.column_stack((np.arange(5000.0), np.zeros(5000)))
+TYPES: dict[str, Any] = {
+    ros.ODOM: Odometry,
+    ros.STEERING_COMMAND: JointState,
+    ros.STEERING_STATE: JointState,
+    ros.REFERENCE_PATH: PathMessage,
+    ros.PREDICTED_PATH: PathMessage,
+    ros.WIND: Vector3Stamped,
+    ros.STOP_REQUEST: Bool,
+}
+LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST}
+
+
+class Viewer(Node):
+    """Drives, and looks at the pictures."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        """Be able to publish every input."""
+        super().__init__("viewer")
+        self.all = executor
+        self.time_ns = 0
+        self.pictures: list[dict[tuple[str, int], Marker]] = []
+        self.says = {
+            name: self.create_publisher(cls, name, ros.LATCHED if name in LATCHED else ros.RELIABLE)
+            for name, cls in TYPES.items()
+        }
+
+    def look(self) -> None:
+        """Subscribe to the pictures."""
+        self.eye = self.create_subscription(MarkerArray, ros.MARKERS, self.see, ros.RELIABLE)
+
+    def see(self, message: MarkerArray) -> None:
+        """Keep a picture."""
+        self.pictures.append({(each.ns, each.id): each for each in message.markers})
+        assert len(self.pictures[-1]) == len(message.markers)
+
+    def drive(self, **changes: Any) -> None:
+        """Publish the next state."""
+        self.time_ns += NANOSECONDS // 10
+        state = VehicleState(self.time_ns, 3.0, 4.0, 0.5, 9.0, 0.0, 0.0)
+        self.says[ros.ODOM].publish(ros.odometry_message(state._replace(**changes)))
+
+    def picture(self, **changes: Any) -> dict[tuple[str, int], Marker]:
+        """Drive until there is a picture of it; gives the newest."""
+        seen = len(self.pictures)
+
+        def drawn() -> bool:
+            self.drive(**changes)
+            return len(self.pictures) > seen
+
+        spin_until(self.all, drawn)
+        return self.pictures[-1]
+
+    def picture_with(self, name: str, message: Any, key: tuple[str, int]) -> Marker:
+        """Say something until a picture shows it; gives its marker."""
+
+        def shown() -> bool:
+            self.says[name].publish(message)
+            return key in self.picture()
+
+        spin_until(self.all, shown)
+        return self.pictures[-1][key]
+
+
+@pytest.fixture
+def viewer() -> Iterator[Viewer]:
+    """Give a viewer that has not looked yet, beside a node that draws."""
+    with ros_context() as executor:
+        node = Viewer(executor)
+        add(executor, node, MarkerNode())
+        yield node
+
+
+def drawer(viewer: Viewer) -> MarkerNode:
+    """Give the node that draws."""
+    return next(node for node in viewer.all.get_nodes() if isinstance(node, MarkerNode))
+
+
+def test_it_listens_only_while_somebody_looks(viewer: Viewer) -> None:
+    node = drawer(viewer)
+    for _ in range(10):
+        viewer.drive()
+        viewer.all.spin_once(timeout_sec=PERIOD)
+    assert not node.inputs
+    viewer.look()
+    viewer.picture()
+    assert {each.topic_name for each in node.inputs} == {f"/{name}" for name in TYPES}
+    viewer.destroy_subscription(viewer.eye)
+    spin_until(viewer.all, lambda: not node.inputs)
+    assert not node.known
+
+
+def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer: Viewer) -> None:
+    viewer.look()
+    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG, 0))
+    road = viewer.picture_with(
+        ros.PREDICTED_PATH, ros.path_message(LONG[:20], 0), ("predicted_path", 0)
+    )
+    assert len(road.points) == 20
+    arrow = viewer.picture_with(ros.WIND, ros.wind_message(0, (0.0, 9.0)), ("wind", 0))
+    assert arrow.points[1].y > arrow.points[0].y == 4.0
+    picture = viewer.picture()
+    assert len(picture["reference_path", 0].points) == MOST_POINTS
+    assert picture["reference_path", 0].points[-1].x == LONG[-1, 0]
+    for each in picture.values():
+        assert each.header.frame_id == ros.MAP
+        assert each.action == Marker.ADD
+        assert each.lifetime.sec > 0
+        assert each.color.a > 0
+        assert abs(math.hypot(each.pose.orientation.z, each.pose.orientation.w) - 1) < 1e-9
+    assert picture["car", 0].type == Marker.CUBE
+    assert picture["text", 0].text.startswith("9.0 m/s")
+
+
+def test_the_measured_angle_goes_before_the_commanded_one(viewer: Viewer) -> None:
+    viewer.look()
+
+    def turns(angle: float) -> bool:
+        text = viewer.picture()["text", 0].text
+        return f"{math.degrees(angle):+.1f} deg" in str(text)
+
+    for topic, angle in [(ros.STEERING_COMMAND, 0.2), (ros.STEERING_STATE, 0.1)]:
+        viewer.picture()
+        viewer.says[topic].publish(ros.joint_message(0, angle, 0.0))
+        spin_until(viewer.all, partial(turns, angle))
+    viewer.says[ros.STEERING_COMMAND].publish(ros.joint_message(0, 0.2, 0.0))
+    for _ in range(3):
+        assert turns(0.1)
+
+
+def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: Viewer) -> None:
+    viewer.says[ros.STOP_REQUEST].publish(Bool(data=True))
+    viewer.look()
+    spin_until(viewer.all, lambda: "STOP" in viewer.picture()["text", 0].text)
+    colour = viewer.pictures[-1]["car", 0].color
+    assert (colour.r, colour.g, colour.b) == pytest.approx(VERMILION[:3])
+
+
+def rejects_more_than(node: MarkerNode, number: int) -> bool:
+    """Tell whether a node has refused more than so many inputs."""
+    return node.rejected > number
+
+
+def test_bad_input_is_counted_and_the_good_one_kept(viewer: Viewer) -> None:
+    node = drawer(viewer)
+    viewer.look()
+    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
+    spin_until(viewer.all, lambda: ("reference_path", 0) in viewer.picture())
+    foreign = ros.path_message(LONG[:3], 0)
+    foreign.header.frame_id = "odom"
+    broken = LONG[:3].copy()
+    broken[1] = math.nan
+    bad = [
+        (ros.REFERENCE_PATH, foreign),
+        (ros.REFERENCE_PATH, ros.path_message(broken, 0)),
+        (ros.STEERING_COMMAND, JointState(position=[0.1, 0.2])),
+        (ros.WIND, ros.wind_message(0, (math.inf, 0.0))),
+        (ros.ODOM, ros.odometry_message(VehicleState(0, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0))),
+    ]
+    for topic, message in bad:
+        before = node.rejected
+        viewer.says[topic].publish(message)
+        spin_until(viewer.all, partial(rejects_more_than, node, before))
+    assert node.rejected == len(bad)
+    assert len(viewer.picture()["reference_path", 0].points) == 9
+
+
+def test_an_empty_path_takes_the_road_away(viewer: Viewer) -> None:
+    viewer.look()
+    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
+    spin_until(viewer.all, lambda: ("reference_path", 0) in viewer.picture())
+    empty = PathMessage()
+    empty.header.frame_id = ros.MAP
+    viewer.says[ros.REFERENCE_PATH].publish(empty)
+    spin_until(viewer.all, lambda: ("reference_path", 0) not in viewer.picture())
+
+
+def test_pictures_come_at_most_20_times_a_second(viewer: Viewer) -> None:
+    viewer.look()
+    viewer.picture()
+    first, start = len(viewer.pictures), time.monotonic()
+    while len(viewer.pictures) < first + 10:
+        viewer.drive()
+        viewer.all.spin_once(timeout_sec=0.001)
+    assert time.monotonic() - start > 8 * PERIOD
+
+
+def test_a_wrong_vehicle_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["markers", "--ros-args", "-p", "vehicle:=tank"])
+    assert main() == 2
+    assert "'tank' is neither a file" in capsys.readouterr().err

@@ -1,0 +1,156 @@
+"""Ready when activated: nothing is compiled after the warm-up, and the first tick is not slow.
+
+Every measurement runs in a fresh process: what an earlier test has compiled or loaded would hide
+what is missing.
+"""
+
+import math
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import MODES, NANOSECONDS, VehicleState
+from ampc_ros import controller as controllers
+from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_ros.controller import make_controller, warm_up
+from tests.ros_nodes import ros_context
+
+PATHS: dict[str, list[tuple[float, float]]] = {
+    "two points": [(0.0, 0.0), (300.0, 1.0)],
+    "bends": [(float(x), 2.0 * math.sin(x / 12.0)) for x in range(0, 200, 2)],
+    "closed": [(40.0 * math.sin(0.05 * i), 40.0 - 40.0 * math.cos(0.05 * i)) for i in range(126)],
+}
+SETTINGS = {
+    "default": "max_angle: 0.5\n",
+    "output rows": "max_output_error: 0.3\n",
+    "hildreth": "solver: hildreth\nhildreth_sweeps: 5\n",
+    "whole numbers": "max_angle: 1\nmax_increment: 1\nslack_weight: 10000\nmax_output_error: 1\n",
+    "100 Hz": "sample_time: 0.01\n",
+}
+SLOWER = 3.0
+"""Times the hundredth tick that the first may take: memory is touched the first time, and the
+machine is busy with other things."""
+
+
+def in_a_fresh_process(function: Any, *arguments: Any) -> Any:
+    """Call a function where nothing has been imported yet."""
+    with multiprocessing.get_context("spawn").Pool(1) as fresh:
+        return fresh.apply(function, arguments)
+
+
+def compiled_signatures() -> dict[str, int]:
+    """Count the compiled signatures of every function of our packages."""
+    return {
+        f"{module}.{name}": len(value.signatures)
+        for module, content in list(sys.modules.items())
+        if module.split(".")[0] in ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
+        for name, value in vars(content).items()
+        if isinstance(value, Dispatcher)
+    }
+
+
+def compiled_after_warm_up(name: str, settings: Path) -> dict[str, int]:
+    """Give the functions that random drives compile after the warm-up."""
+    rng = np.random.default_rng(7)
+    controller = make_controller(Choices(controller=name, settings=str(settings)))
+    warm_up(controller)
+    before = compiled_signatures()
+    for points in PATHS.values():
+        path = make_path(points)
+        for tick in range(60):
+            x, y = points[tick % len(points)]
+            values = rng.normal((x, y, 0.0, 9.0, 0.0, 0.0), (3.0, 3.0, 1.0, 12.0, 0.5, 0.3))
+            state = VehicleState(tick * NANOSECONDS // 10, *values.tolist())
+            with suppress(ValueError):
+                controller.step(state, path)
+    after = compiled_signatures()
+    return {key: after[key] - before.get(key, 0) for key in after if after[key] != before.get(key)}
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_no_function_is_compiled_after_the_warm_up(
+    name: str, settings: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text(SETTINGS[settings], encoding="utf-8")
+    assert in_a_fresh_process(compiled_after_warm_up, name, file) == {}
+
+
+def test_the_warm_up_meets_every_mode_active_rows_and_both_kinds_of_path() -> None:
+    controller, met = make_controller(Choices()), set()
+    for points in (controllers.STRAIGHT, controllers.CIRCLE):
+        path = make_path(points)
+        controller.reset()
+        for tick, values in enumerate(controllers.REHEARSAL):
+            state = VehicleState(tick * NANOSECONDS // 10, *values)
+            diagnosis = controller.step(state, path).diagnosis
+            met |= {MODES[int(diagnosis.mode)], ("closed", path.closed)}
+            met |= {("active", diagnosis.active_constraints > 0)}
+            met |= {("outside", bool(diagnosis.outside_table))}
+    flags = {(what, flag) for what in ("closed", "active", "outside") for flag in (False, True)}
+    assert met == set(MODES) | flags
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_controller_remembers_nothing_of_its_warm_up(name: str) -> None:
+    fresh, warm = (
+        make_controller(Choices(controller=name)),
+        make_controller(Choices(controller=name)),
+    )
+    warm_up(warm)
+    path = make_path(PATHS["bends"])
+    for tick in range(5):
+        state = VehicleState(tick * NANOSECONDS // 10, 0.9 * tick, 0.3, 0.0, 9.0, 0.0, 0.0)
+        assert str(warm.step(state, path)) == str(fresh.step(state, path))
+
+
+def tick_times() -> list[float]:
+    """Give the time of each of the first ticks of a node, state to published command [s]."""
+    from ampc_ros.nodes.controller_node import ControllerNode
+
+    chosen = {"settings": "100hz", "gain_table": "preview_100hz", "use_sim_time": "true"}
+    with ros_context(**chosen) as executor:
+        node = ControllerNode()
+        executor.add_node(node)
+        node.on_path(ros.path_message(np.array(PATHS["bends"]), 0))
+        times = []
+        for tick in range(150):
+            stamp_ns = NANOSECONDS + tick * NANOSECONDS // 100
+            state = VehicleState(stamp_ns, 0.09 * tick, 0.2, 0.01, 9.0, 0.0, 0.0)
+            message = ros.odometry_message(state)
+            time.sleep(0.01)
+            begin = time.perf_counter()
+            node.on_odometry(message)
+            node.on_timer()
+            times.append(time.perf_counter() - begin)
+            assert node.is_answered()
+        return times
+
+
+def test_the_first_tick_is_no_slower_than_the_hundredth() -> None:
+    runs = [in_a_fresh_process(tick_times) for _ in range(5)]
+    ratios = [times[0] / np.median(times[50:]) for times in runs]
+    assert np.median(ratios) < SLOWER
+
+
+@pytest.mark.parametrize("package", ["ampc_msgs_config", "ampc_ros", "sim_vehicle"])
+def test_a_package_imports_numpy_and_scipy_with_one_thread_whatever_the_number_of_cores(
+    package: str,
+) -> None:
+    environment = {key: text for key, text in os.environ.items() if "_NUM_THREADS" not in key}
+    count = "print(len(os.listdir('/proc/self/task')))"
+    command = [sys.executable, "-c", f"import os, {package}, numpy, scipy.linalg; {count}"]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "1"

@@ -1,0 +1,208 @@
+"""The recorder: nothing is lost, no time is wrong, and it ends cleanly."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import Imu
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, TRANSFORMS
+from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
+from ampc_msgs_config.recording.bag_writer import EVERYTHING
+from ampc_msgs_config.types import NANOSECONDS
+from launch_scripts.bags.bag import read
+from tests.bag_samples import (
+    TICK_NS,
+    contents,
+    full,
+    read_with_rosbags,
+    sample,
+    wait_for,
+    write_bag,
+)
+
+TICKS = 200
+
+
+def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times() -> None:
+    arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities={"/slack"})
+    data = {tick: serialize_message(sample(ros.CLOCK, tick * TICK_NS)) for tick in (7, 8)}
+    for publish_ns, topic, tick in [
+        (5, "/clock", 8),
+        (4, "/slack", 0),
+        (3, "/command", 7),
+        (2, "/clock", 7),
+        (1, "/path", 0),
+        (7, "/odom", 0),
+        (6, "/slack", 0),
+    ]:
+        assert not list(arrivals.take_before(99))
+        arrivals.add(Arrival(publish_ns, 99, topic, data.get(tick, b"")))
+    expected = ["/path 7", "/clock 7", "/command 7", "/slack 7", "/clock 8", "/slack 7", "/odom 8"]
+    taken = arrivals.take_before(100)
+    assert [f"{arrival.topic} {time_ns // TICK_NS}" for arrival, time_ns in taken] == expected
+    assert not list(arrivals.take_before(100))
+
+
+def test_messages_without_a_clock_are_kept_until_the_end() -> None:
+    arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities=())
+    arrivals.add(Arrival(1, 2, "/path", b""))
+    assert not list(arrivals.take_before(3))
+    assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
+
+
+@contextmanager
+def talker() -> Iterator[Node]:
+    """Gives a node of this process that publishes."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node: Any = rclpy.create_node("talker", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
+    """Starts the recorder."""
+    command = [sys.executable, "-m", "ampc_msgs_config.nodes.recorder_node", "--ros-args"]
+    for parameter in parameters:
+        command += ["-p", parameter]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
+    """Starts the recorder; gives its process once it is ready."""
+    process = popen_recorder(f"output:={bag}", *parameters)
+    wait_for((bag / "metadata.yaml").exists)
+    return process
+
+
+def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
+    """Ends a process by a signal; gives its exit code and all that it said."""
+    process.send_signal(number)
+    said, _ = process.communicate(timeout=10)
+    return process.returncode, said
+
+
+def advertise(node: Node) -> dict[str, Publisher]:
+    """Gives a publisher for each topic of the contract."""
+    return {
+        name: node.create_publisher(
+            message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
+        )
+        for name, message_type in CONTRACT.items()
+    }
+
+
+def publish_fast(publishers: dict[str, Publisher]) -> None:
+    """Publishes 500 ticks a second, 50 times as fast as the clock that is published with them."""
+    wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
+    due = time.monotonic()
+    for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):
+        for name, publisher in publishers.items():
+            if name not in LATCHED:
+                publisher.publish(sample(name, stamp_ns))
+        due += 0.002
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_recorder_loses_nothing_and_ends_cleanly(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with talker() as node:
+        publishers = advertise(node)
+        for name in LATCHED & publishers.keys():
+            publishers[name].publish(sample(name, TICK_NS))
+        recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
+        publish_fast(publishers)
+        code, said = stop(recorder, number)
+    found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in TRANSFORMS]
+    assert read_with_rosbags(tmp_path / "bag") == found
+    latched = {full(name): name for name in LATCHED & CONTRACT.keys()}
+    for topic, name in latched.items():  # when they come, the middleware decides
+        expected = [(topic, TICK_NS, sample(name, TICK_NS))]
+        assert [entry for entry in found if entry[0] == topic] == expected
+    assert [entry for entry in found if entry[0] not in latched] == [
+        (full(name), stamp_ns, sample(name, stamp_ns))
+        for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS)
+        for name in CONTRACT
+        if name not in LATCHED
+    ]
+    assert code == 0
+    assert said.count("recording to") == 1
+    recorded = len(found) + TICKS + 1, len(CONTRACT) + len(TRANSFORMS)
+    assert "recorded {} messages on {} topics".format(*recorded) in said
+    assert ", 0 missed at the start, 0 lost:" in said
+
+
+def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
+    with talker() as node:
+        publisher = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
+        recorder = start_recorder(tmp_path / "bag")
+        wait_for(lambda: publisher.get_subscription_count() > 0)
+        until = time.monotonic() + 1.7
+        while time.monotonic() < until:
+            publisher.publish(sample(ros.ODOM, time.time_ns()))
+            time.sleep(0.002)
+        killed_ns = time.time_ns()
+        recorder.kill()
+        recorder.communicate()
+    found = list(read(tmp_path / "bag"))
+    assert 0 < killed_ns - found[-1].log_time_ns < NANOSECONDS
+    assert found[0].log_time_ns < killed_ns - NANOSECONDS
+
+
+def test_the_recorder_keeps_receive_times_and_offers_of_a_car(tmp_path: Path) -> None:
+    with talker() as node:
+        odom = node.create_publisher(Odometry, ros.ODOM, ros.NEWEST)
+        path = node.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.RELIABLE)
+        imu = node.create_publisher(Imu, "imu", ros.NEWEST)
+        recorder = start_recorder(tmp_path / "bag", "topics:=['imu:sensor_msgs/msg/Imu']")
+        wait_for(lambda: all(p.get_subscription_count() for p in (odom, path, imu)))
+        before_ns = time.time_ns()
+        for _ in range(10):  # best effort: the first may come before the recorder knows of us
+            odom.publish(sample(ros.ODOM, TICK_NS))
+            path.publish(sample(ros.REFERENCE_PATH, TICK_NS))
+            imu.publish(Imu())
+            time.sleep(0.1)
+        code, _ = stop(recorder, signal.SIGINT)
+    found = {entry.topic: entry.log_time_ns for entry in read(tmp_path / "bag")}
+    assert code == 0
+    assert found.keys() == {"/odom", "/reference_path", "/imu"}
+    assert all(before_ns < time_ns < time.time_ns() for time_ns in found.values())
+    with Reader(tmp_path / "bag") as reader:
+        offers: dict[str, Any] = {link.topic: link.ext for link in reader.connections}
+    assert offers["/odom"].offered_qos_profiles[0].reliability is QosReliability.BEST_EFFORT
+    assert offers["/reference_path"].offered_qos_profiles[0].durability is QosDurability.VOLATILE
+
+
+def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:
+    write_bag(tmp_path, ticks=1)
+    complaints = {
+        "output:=''": "parameter 'output' must name the folder of the bag",
+        f"output:={tmp_path}": f"{tmp_path}: holds a bag already, and bags are never overwritten",
+        "topics:=['imu:x/msg/Imu']": "x/msg/Imu: this message type is not installed",
+    }
+    recorders = {
+        parameter: popen_recorder("output:=elsewhere", parameter) for parameter in complaints
+    }
+    for parameter, complaint in complaints.items():
+        said, _ = recorders[parameter].communicate(timeout=20)
+        assert recorders[parameter].returncode == 2
+        assert said == f"error: {complaint}\n"

@@ -1,0 +1,141 @@
+"""A simulated drive as text: read back it is the same, bit for bit; what is wrong is named."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ampc_msgs_config.config import find, load, shipped
+from ampc_msgs_config.paths.path_file import Route, choose_scenario
+from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
+from ampc_msgs_config.scenarios.scenario_yaml import document, mapping_of, scenario_of
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
+from sim_vehicle.closed_loop import Simulation, drive
+from sim_vehicle.configuration import Configuration, from_yaml, simulation_of, to_yaml
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+
+NOISE = load(MeasurementNoise, find("noise", "x1"))
+WHERE = "run/bag: simulator/configuration"
+
+
+def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> Configuration:
+    """Give the configuration of a shipped scenario and car."""
+    car = load_vehicle(find("vehicles", vehicle))
+    return Configuration(car, load_scenario(scenario, car.size), **options)
+
+
+def same_bits(a: Scenario, b: Scenario) -> bool:
+    """Tell whether two scenarios are equal in every bit."""
+    rows = [(a.points, b.points), (a.speed.at, b.speed.at), (a.speed.speed, b.speed.speed)]
+    rest = [(s.name, s.duration, s.wind, s.lanes, s.start_offset, s.start) for s in (a, b)]
+    kinds = [(s.speed.over_distance, s.speed.period) for s in (a, b)]
+    equal = all(x.tobytes() == y.tobytes() and x.shape == y.shape for x, y in rows)
+    return equal and rest[0] == rest[1] and kinds[0] == kinds[1]
+
+
+@pytest.mark.parametrize("vehicle", shipped("vehicles"))
+@pytest.mark.parametrize("scenario", shipped("scenarios"))
+def test_every_shipped_drive_comes_back_from_its_text_bit_for_bit(
+    scenario: str, vehicle: str
+) -> None:
+    made = made_of(scenario, vehicle, friction=0.7, noise=NOISE, seed=7, lock_step=False)
+    again = from_yaml(to_yaml(made), WHERE)
+    assert same_bits(again.scenario, made.scenario)
+    assert again._replace(scenario=made.scenario) == made
+    assert to_yaml(again) == to_yaml(made)
+
+
+def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 60)
+    rows = "".join(f"{40 * np.sin(a)},{40 - 40 * np.cos(a)}\n" for a in angles)
+    file = tmp_path / "circle.csv"
+    file.write_text("x_m,y_m\n" + rows, encoding="utf-8")
+    car = load_vehicle(find("vehicles", "paper"))
+    route = Route(path=str(file), lateral_acceleration=3.0, laps=2)
+    made = Configuration(car, choose_scenario(route, car.size))
+    text = to_yaml(made)
+    file.unlink()
+    again = from_yaml(text, WHERE)
+    assert again.scenario.speed.period < np.inf
+    assert same_bits(again.scenario, made.scenario)
+
+
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_a_drive_with_the_car_read_back_gives_the_same_bits(
+    noise: MeasurementNoise | None,
+) -> None:
+    made = made_of("sc3_wind", friction=0.6, noise=noise, seed=3)
+    given = made.vehicle, made.scenario
+    rng = np.random.default_rng(3)
+    before = Simulation(*given, friction=0.6, noise=noise, rng=rng)
+    after = simulation_of(to_yaml(made), WHERE)
+    drives = [drive(car, make_controller(Choices())) for car in (before, after)]
+    assert drives[0].states == drives[1].states
+    assert drives[0].steering.tolist() == drives[1].steering.tolist()
+
+
+def test_the_planner_tells_its_scenario_in_the_same_way() -> None:
+    scenario = made_of("iso3888_1").scenario
+    content = yaml.safe_load(document({"scenario": mapping_of(scenario)}))
+    assert content["number"] == 1
+    assert same_bits(scenario_of(content["scenario"], "planner"), scenario)
+
+
+WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
+    "no car": (("vehicle",), None, "vehicle = None must be a mapping of keys"),
+    "no section": (("vehicle", "tyre"), ..., "vehicle: missing key 'tyre'"),
+    "mass": (("vehicle", "chassis", "mass"), -1.0, "vehicle: chassis: mass = -1.0 must lie in [1,"),
+    "unknown": (("weather",), "rain", "unknown key 'weather'"),
+    "no seed": (("seed",), ..., "missing key 'seed'"),
+    "seed": (("seed",), -1, "seed = -1 must be a number in [0,"),
+    "friction": (("friction",), 9.0, "friction = 9.0 must be a number in [0.01, 3]"),
+    "noise": (("noise",), {"position": -1.0}, "noise: position = -1.0 must lie in [0, 100] m"),
+    "step": (("step_ns",), 0, "step_ns = 0 must be a number in"),
+    "mode": (("lock_step",), "yes please", "lock_step = 'yes please' must be true or false"),
+    "scenario": (("scenario",), [], "scenario = [] must be a mapping of keys"),
+    "nan": (("scenario", "points", "y"), "0 nan", "y[1] = nan must be finite"),
+    "word": (("scenario", "points", "x"), "0 one", "x: could not convert string to float: 'one'"),
+    "list": (("scenario", "points", "x"), [0], "x = [0] must be numbers in one text"),
+    "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 1 to 1000000"),
+    "shorter": (("scenario", "points", "x"), "0 1", "points: x has 2 numbers and y "),
+    "point": (("scenario", "points"), {"x": "1 1", "y": "0 0"}, "at least 2 are needed"),
+    "no points": (("scenario", "points"), {"x": "0", "y": "0"}, "points: 1 given, must be at"),
+    "no y": (("scenario", "points"), {"x": "0 1"}, "missing key 'y'"),
+    "profile": (("scenario", "speed", "speed"), "101", "speed = 101 must lie in [0, 100] m/s"),
+    "times": (("scenario", "speed", "at"), "0 1", "speed: at has 2 numbers and speed 1"),
+    "kind": (("scenario", "speed", "over_distance"), 1, "over_distance = 1 must be true or false"),
+    "period": (
+        ("scenario", "speed", "period"),
+        0.0,
+        "period = 0.0 must be a number in [0.001, inf]",
+    ),
+    "duration": (("scenario", "duration"), 0.0, "duration = 0.0 must be a number in [0.1,"),
+    "wind": (
+        ("scenario", "wind"),
+        [{"kind": "storm"}],
+        "wind: kind = 'storm' must be gust or block",
+    ),
+    "lanes": (("scenario", "lanes"), {}, "lanes = {} must be a list"),
+    "lane": (("scenario", "lanes"), [{"start": 0.0}], "missing key 'end'"),
+    "offset": (("scenario", "start_offset"), 1e3, "start_offset = 1000.0 must be a number in"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_in_a_configuration_is_named_with_place_key_and_value(case: str) -> None:
+    keys, value, sentence = WRONG[case]
+    content = yaml.safe_load(to_yaml(made_of("sc1")))
+    section = content
+    for key in keys[:-1]:
+        section = section[key]
+    section[keys[-1]] = value
+    if value is ...:
+        del section[keys[-1]]
+    with pytest.raises(ValueError, match="simulator/configuration") as error:
+        simulation_of(yaml.safe_dump(content), WHERE)
+    assert str(error.value).startswith(WHERE)
+    assert sentence in str(error.value)
+    assert str(error.value).count(WHERE) == 1

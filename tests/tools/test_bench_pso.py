@@ -1,0 +1,146 @@
+"""The particle swarm's benchmark is fair, and says where the proposed variant loses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ampc_ros.pso.minimize import at_once, minimize
+from ampc_ros.pso.settings import Array, Dimension
+from launch_scripts.reporting.style import spread
+from launch_scripts.study.bench_pso import content, main
+from launch_scripts.study.bench_pso_figure import GAP, draw_curves
+from launch_scripts.study.bench_pso_tables import READ, Readings, Runs, bars, losses, markdown
+from launch_scripts.study.pso_yardsticks import (
+    BOUND,
+    BUDGET,
+    GENERATIONS,
+    METHODS,
+    PARTICLES,
+    PROBLEMS,
+    Cost,
+    Problem,
+    as_in_the_paper,
+    curve,
+    readings,
+    rosenbrock,
+    shifted_sphere,
+    sphere,
+)
+
+SMALL = Problem(sphere, 3)
+GOOD = {"proposed": 0.01, "linear": 1.5, "damped": 1.4, "classic": 7.0}
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.name)
+def test_a_test_function_is_zero_at_its_only_published_minimum(problem: Problem) -> None:
+    n = problem.dimensions
+    where: dict[Cost, Array] = {
+        rosenbrock: np.ones(n),
+        shifted_sphere: np.resize([6.0, -6.0], n),
+    }
+    lowest = where.get(problem.function, np.zeros(n))
+    around: Array = lowest + np.random.default_rng(1).normal(0, 2, (200, n))
+    assert problem.function(lowest[None]) == pytest.approx([0.0], abs=1e-12)
+    assert np.all(problem.function(around) > 0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_has_the_same_budget_and_stays_inside_the_bounds(method: str) -> None:
+    seen: list[Array] = []
+
+    def watched(x: Array) -> Array:
+        seen.extend(x)
+        return sphere(x)
+
+    METHODS[method](watched, 3, np.random.default_rng(1))
+    jumps = GENERATIONS if method == "Zhan's adaptive" else 0
+    assert BUDGET <= len(seen) <= BUDGET + jumps
+    assert np.all(np.abs(seen) <= BOUND)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_curve_has_a_point_for_each_generation_falls_and_repeats(method: str) -> None:
+    found = curve(METHODS[method], SMALL, seed=3)
+    assert found.shape == (BUDGET // PARTICLES,)
+    assert np.all(np.diff(found) <= 0)
+    assert np.array_equal(found, curve(METHODS[method], SMALL, seed=3))
+    assert not np.array_equal(found, curve(METHODS[method], SMALL, seed=4))
+
+
+def test_the_curve_of_a_swarm_is_its_history() -> None:
+    space = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(3)]
+    rng = np.random.default_rng(3)
+    best = minimize(sphere, space, as_in_the_paper("linear"), rng, at_once)
+    assert np.array_equal(curve(METHODS["linear"], SMALL, seed=3), best.history)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("proposed", 0.2), ("linear", 0.4), ("linear", 6.0), ("damped", 0.4), ("classic", 1.45)],
+)
+def test_a_bar_that_is_missed_is_told(name: str, value: float) -> None:
+    assert all(bar.holds for bar in bars(GOOD))
+    assert not all(bar.holds for bar in bars({**GOOD, name: value}))
+
+
+def invented() -> Runs:
+    """Three runs of every method, of which `random` is the best and `proposed` second to it."""
+    order = [
+        "random",
+        "proposed",
+        *(name for name in METHODS if name not in ("random", "proposed")),
+    ]
+    fall = np.geomspace(1.0, 0.1, GENERATIONS + 1)
+    return {
+        (problem.name, name): np.outer([1.0, 2.0, 4.0], fall) * (k + 1)
+        for problem in PROBLEMS
+        for k, name in enumerate(order)
+    }
+
+
+def test_where_the_proposed_variant_loses_is_said() -> None:
+    assert losses(invented()) == [f"{problem.name}: random" for problem in PROBLEMS]
+    assert "* sphere, n = 30: random\n" in markdown(invented(), {"one": np.ones(len(READ))})
+
+
+def test_the_best_of_a_column_is_bold() -> None:
+    lines = markdown(invented(), {"one": np.ones(len(READ))}).splitlines()
+    bold = [line for line in lines if "**" in line]
+    assert [line.split(" | ")[0] for line in bold] == ["| random"]
+    assert bold[0].count("**0.2 (0.15-0.3)**") == len(PROBLEMS)
+
+
+def test_json_holds_every_run() -> None:
+    ways: Readings = {name: np.ones(len(READ)) for name in readings()}
+    held = json.loads(json.dumps(content(invented(), ways, bars(GOOD)), allow_nan=False))
+    one = held["problems"]["ackley, n = 5"]["random"]
+    assert one["final"] == pytest.approx([0.1, 0.2, 0.4])
+    assert one["quartiles"] == pytest.approx([0.15, 0.2, 0.3])
+    assert len(one["median_curve"]) == GENERATIONS + 1
+    assert set(held["bars"].values()) == {True}
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
+def test_labels_keep_their_order_and_a_gap(places: list[float]) -> None:
+    named = {str(k): place for k, place in enumerate(places)}
+    moved = list(spread(named, GAP).values())
+    assert np.all(np.diff(moved) >= 0.9 * GAP)
+    assert sorted(named, key=lambda name: named[name]) == list(spread(named, GAP))
+
+
+def test_the_picture_shows_every_problem(tmp_path: Path) -> None:
+    draw_curves(invented(), tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("option", ["--seeds", "--workers"])
+def test_a_number_of_runs_below_one_is_refused(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([option, "0"])
+    assert f"{option} 0 must be at least 1" in capsys.readouterr().err

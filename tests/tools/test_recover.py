@@ -1,0 +1,247 @@
+"""What is left of a bag becomes a complete one, and nothing that is whole is left behind."""
+
+import io
+import random
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from rosbags.highlevel import AnyReader
+
+from launch_scripts.bags.bag import is_complete, read
+from launch_scripts.bags.salvage import salvage
+from launch_scripts.recover import main
+from tests.bag_samples import contents, read_with_rosbags, write_bag
+from tests.foreign_bags import Sent, write_file
+
+DRIVE = [Sent(1000 + number, 0.1 * number, number=number) for number in range(400)]
+
+
+def opened(file: Path) -> tuple[list[Any], Any]:
+    """Gives what `mcap` reads through the index of a file, and its summary."""
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return list(reader.iter_messages()), reader.get_summary()
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    """Gives the content of all files in a folder."""
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def recovered(bag: Path, output: Path) -> list[Sent]:
+    """Recovers a bag of odometry, checks its index, and gives its messages."""
+    assert main([str(bag), "--output", str(output)]) == 0
+    found = []
+    for file in sorted(output.glob("*.mcap")):
+        messages, summary = opened(file)
+        assert summary.statistics.message_count == len(messages)
+        found += [
+            Sent(m.log_time, 0.0, c.topic, m.publish_time, m.sequence) for _, c, m in messages
+        ]
+    metadata = yaml.safe_load((output / "metadata.yaml").read_text())
+    assert metadata["rosbag2_bagfile_information"]["message_count"] == len(found)
+    assert is_complete(output)
+    with AnyReader([output]) as reader:
+        assert len(list(reader.messages())) == len(found)
+    return found
+
+
+def without_place(messages: list[Sent]) -> list[Sent]:
+    """Gives what is known of messages without understanding them."""
+    return [sent._replace(x=0.0) for sent in messages]
+
+
+def test_a_cut_bag_of_ours_gives_all_of_its_complete_chunks(tmp_path: Path) -> None:
+    entries, _ = write_bag(tmp_path / "bag", ticks=6)
+    whole = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    _, summary = opened(tmp_path / "bag" / "bag_0.mcap")
+    ends = [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
+    for number, cut in enumerate([20, *(end - 1 for end in ends), *ends, len(whole) - 1]):
+        file = tmp_path / "cut_0.mcap"
+        file.write_bytes(whole[:cut])
+        output = tmp_path / f"recovered_{number}"
+        assert main([str(file), "--output", str(output)]) == 0
+        kept = entries[: len(entries) // 6 * sum(end <= cut for end in ends)]
+        assert list(read(output)) == kept
+        assert read_with_rosbags(output) == contents(kept)
+        assert file.read_bytes() == whole[:cut]
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_messages_before_the_cut_of_the_last_chunk_are_kept(
+    tmp_path: Path, compression: CompressionType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_file(tmp_path / "bag_0.mcap", DRIVE, compression=compression)
+    _, summary = opened(tmp_path / "bag_0.mcap")
+    (chunk,) = summary.chunk_indexes
+    whole = (tmp_path / "bag_0.mcap").read_bytes()
+    cut = chunk.chunk_start_offset + chunk.chunk_length * 9 // 10
+    (tmp_path / "bag_0.mcap").write_bytes(whole[:cut])
+    found = recovered(tmp_path, tmp_path / "new")
+    assert found == without_place(DRIVE[: len(found)])
+    if compression is CompressionType.NONE:
+        assert len(found) in (358, 359, 360)
+    said = capsys.readouterr().out
+    tail = cut - chunk.chunk_start_offset
+    kept = f", of which {len(found)} messages are kept" if found else ""
+    assert f"bag_0.mcap: the last {tail} bytes are a cut record{kept}\n" in said
+    assert f"recovered: {len(found)} messages on 1 topics, " in said
+    assert said.endswith(", 1 attachments, 1 metadata records\n")
+
+
+def test_every_cut_of_an_unchunked_file_gives_the_messages_before_it(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag_0.mcap", DRIVE[:5], use_chunking=False)
+    whole = (tmp_path / "bag_0.mcap").read_bytes()
+    before = 0
+    for cut in range(200, len(whole), 97):
+        bag = tmp_path / f"cut_{cut}.mcap"
+        bag.write_bytes(whole[:cut])
+        found = recovered(bag, tmp_path / f"new_{cut}")
+        assert found == without_place(DRIVE[: len(found)])
+        assert len(found) >= before
+        before = len(found)
+    assert before == 5
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_damaged_chunk_is_left_out_and_the_others_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], number: int
+) -> None:
+    entries, _ = write_bag(tmp_path / "bag", ticks=3)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    _, summary = opened(file)
+    content = bytearray(file.read_bytes())
+    damaged = summary.chunk_indexes[number]
+    content[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 1
+    file.write_bytes(content)
+    assert main([str(tmp_path / "bag")]) == 0
+    lost_ns = (number + 1) * entries[0].log_time_ns
+    kept = [entry for entry in entries if entry.log_time_ns != lost_ns]
+    assert list(read(tmp_path / "bag_recovered")) == kept
+    size = damaged.chunk_length
+    assert f"1 damaged chunks or records, {size} bytes, are left out" in capsys.readouterr().out
+
+
+def test_whatever_is_damaged_the_result_is_a_complete_file(tmp_path: Path) -> None:
+    chance = random.Random(1)
+    write_file(tmp_path / "bag.mcap", DRIVE[:60], chunk_size=4000, enable_crcs=True)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    for _ in range(100):
+        content = bytearray(whole[: chance.randrange(9, 2 * len(whole))])
+        for place in chance.sample(range(8, len(content)), k=min(3, len(content) - 8)):
+            content[place] = chance.randrange(256)
+        target = io.BytesIO()
+        found = salvage(io.BytesIO(content), target)
+        target.seek(0)
+        messages = list(make_reader(target, validate_crcs=True).iter_messages())
+        assert len(messages) == found.extent.count
+
+
+def test_schemas_offers_attachments_and_metadata_stay(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag_0.mcap", DRIVE)
+    before, _ = opened(tmp_path / "bag_0.mcap")
+    whole = (tmp_path / "bag_0.mcap").read_bytes()
+    (tmp_path / "bag_0.mcap").write_bytes(whole[:-20])
+    assert recovered(tmp_path, tmp_path / "new") == without_place(DRIVE)
+    after, _ = opened(tmp_path / "new" / "new_0.mcap")
+    assert after == before
+    with (tmp_path / "new" / "new_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert [(item.name, item.data) for item in reader.iter_attachments()] == [
+            ("car.yaml", b"mass: 1500.0\n")
+        ]
+        assert [item.metadata for item in reader.iter_metadata()] == [{"ROS_DISTRO": "humble"}]
+    text = (tmp_path / "new" / "metadata.yaml").read_text()
+    (topic,) = yaml.safe_load(text)["rosbag2_bagfile_information"]["topics_with_message_count"]
+    (offer,) = topic["topic_metadata"]["offered_qos_profiles"]
+    assert (offer["history"], offer["reliability"]) == ("unknown", "reliable")
+
+
+def test_all_files_of_a_split_bag_are_recovered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    write_file(bag / "bag_0.mcap", DRIVE[:100])
+    write_file(bag / "bag_1.mcap", [sent._replace(topic="/car/odom") for sent in DRIVE[100:300]])
+    (bag / "bag_2.mcap").touch()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {ros_distro: humble}\n")
+    before = snapshot(bag)
+    found = recovered(bag, tmp_path / "new")
+    assert [sent.number for sent in found] == list(range(300))
+    assert snapshot(bag) == before
+    assert sorted(snapshot(tmp_path / "new")) == ["metadata.yaml", "new_0.mcap", "new_1.mcap"]
+    assert "ros_distro: humble" in (tmp_path / "new" / "metadata.yaml").read_text()
+    assert f"{bag / 'bag_2.mcap'}: no bag: the file is empty" in capsys.readouterr().out
+
+
+def test_a_cut_file_that_is_compressed_as_a_whole_is_recovered(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag_0.mcap", DRIVE, chunk_size=4000)
+    packed = zstandard.compress((tmp_path / "bag_0.mcap").read_bytes())
+    (tmp_path / "bag_0.mcap").unlink()
+    (tmp_path / "bag_0.mcap.zstd").write_bytes(packed)
+    assert recovered(tmp_path, tmp_path / "all") == without_place(DRIVE)
+    (tmp_path / "bag_0.mcap.zstd").write_bytes(packed[: len(packed) * 19 // 20])
+    found = recovered(tmp_path, tmp_path / "new")
+    assert found == without_place(DRIVE[: len(found)])
+
+
+def test_a_complete_bag_is_said_to_be_so_and_not_copied(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries, _ = write_bag(tmp_path / "bag", ticks=2)
+    assert main([str(tmp_path / "bag")]) == 0
+    assert f"bag: complete already: {len(entries)} messages on " in capsys.readouterr().out
+    assert not (tmp_path / "bag_recovered").exists()
+
+
+@pytest.mark.parametrize(
+    "text", [None, "", "{", "rosbag2_bagfile_information:\n  message_count: 1"]
+)
+def test_metadata_that_is_missing_or_old_is_written_anew(tmp_path: Path, text: str | None) -> None:
+    entries, _ = write_bag(tmp_path / "bag", ticks=2)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    if text is not None:
+        (tmp_path / "bag" / "metadata.yaml").write_text(text)
+    assert main([str(tmp_path / "bag")]) == 0
+    assert list(read(tmp_path / "bag_recovered")) == entries
+
+
+def test_topics_that_fell_silent_early_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = [Sent(3 * 10**9, 0.0, "/late"), Sent(4 * 10**9, 0.0, "/late")]
+    write_file(tmp_path / "bag_0.mcap", [*DRIVE[:2], *late])
+    recovered(tmp_path, tmp_path / "new")
+    assert "/odom: last message 4.000 s before the end\n" in capsys.readouterr().out
+
+
+def test_a_bag_without_messages_is_said_to_hold_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_file(tmp_path / "bag_0.mcap", [])
+    assert recovered(tmp_path, tmp_path / "new") == []
+    assert "recovered: 0 messages on 0 topics" in capsys.readouterr().out
+
+
+def test_what_is_no_bag_or_stands_in_the_way_gives_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_bag(tmp_path / "bag", ticks=1)
+    (tmp_path / "empty.mcap").touch()
+    for given, complaint in {
+        ("nothing",): "nothing: there is no such file or folder",
+        ("empty.mcap",): "empty.mcap: no bag: the file is empty",
+        ("bag", "--output", "bag"): "bag: exists already, and nothing is overwritten",
+    }.items():
+        arguments = [part if part.startswith("--") else str(tmp_path / part) for part in given]
+        assert main(arguments) == 2
+        said = capsys.readouterr()
+        assert re.fullmatch(rf"error: \S*{re.escape(complaint)}\n", said.err)
+        assert not said.out

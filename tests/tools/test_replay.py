@@ -1,0 +1,304 @@
+"""A recorded run goes through the controller again: the same bits, or the difference is told."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from std_msgs.msg import String
+
+from ampc_msgs_config import ros
+from ampc_msgs_config.config import find
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, load_scenario
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.configuration import Choices, configuration
+from ampc_ros.supervision.supervisor import Supervisor
+from launch_scripts.replay import main
+from launch_scripts.replaying.recorded_run import read_run
+from launch_scripts.replaying.repetition import differences, repeat, with_value
+from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.configuration import Configuration as SimulatedCar
+from sim_vehicle.configuration import to_yaml
+from sim_vehicle.parameters import load_vehicle
+from tests.recorded_drives import Bag
+
+VEHICLE = load_vehicle(find("vehicles", "paper"))
+TICK_NS = NANOSECONDS // 10
+STEP_NS = NANOSECONDS // 50
+SCENARIOS = (
+    "sc1", "sc1_falcone", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sine", "circle",
+    "straight", "iso3888_2",
+)  # fmt: skip
+Disturb = Callable[[Supervisor, int], None]
+
+
+def scenario_of(name: str, duration: float = 6.0) -> Scenario:
+    """Give the beginning of a scenario."""
+    return load_scenario(name, VEHICLE.size)._replace(duration=duration)
+
+
+def drive_in_lock_step(folder: Path, name: str, controller: str = "preview") -> None:
+    """Record a drive in which every state is answered at once."""
+    scenario = scenario_of(name)
+    supervisor = Supervisor(configuration(Choices(controller=controller, static_path=True)))
+    simulation, planner = Simulation(VEHICLE, scenario), SpeedPlanner(scenario)
+    path = make_path(scenario.points)
+    with Bag(folder) as bag:
+        bag.configuration(supervisor)
+        bag.path(scenario.points, NANOSECONDS)
+        supervisor.follow(path, NANOSECONDS, NANOSECONDS)
+        for tick in range(1, 10**6):
+            if simulation.finished:
+                return
+            state = bag.state(simulation.car.measure(NANOSECONDS + simulation.elapsed_ns))
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            bag.decision(decision, tick)
+            speed = planner.target_speed(state)
+            simulation.advance(decision.command.steering, speed, TICK_NS)
+
+
+def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[float]:
+    """Record a drive with its own clock, late states and whatever else; gives the rungs."""
+    rng, scenario = np.random.default_rng(seed), scenario_of("sc2", 8.0)
+    supervisor = Supervisor(configuration(Choices(static_path=True)))
+    simulation, planner = Simulation(VEHICLE, scenario), SpeedPlanner(scenario)
+    rungs, steering, commands, number = [], 0.0, 0, 0
+    with Bag(folder) as bag:
+        for step in range(400):
+            now_ns = NANOSECONDS + step * STEP_NS
+            measured = simulation.car.measure(now_ns - int(rng.integers(0, 5_000_000)))
+            if step == 0:
+                bag.path(scenario.points, now_ns)
+                supervisor.take_path(scenario.points, now_ns, now_ns + 3)
+            state = bag.state(measured)
+            if not 200 < step < 240 or step % 20 == 0:  # else it is lost on its way
+                supervisor.take_state(state, now_ns)
+            if rng.random() < 0.5:
+                supervisor.take_steering(simulation.car.steering)
+            disturb(supervisor, step)
+            if supervisor.number != number:
+                number = supervisor.number
+                bag.configuration(supervisor)
+            decision = supervisor.tick(now_ns + 77) if step % 5 == 4 else None
+            if decision:
+                commands, steering = commands + 1, decision.command.steering
+                bag.decision(decision, commands)
+                rungs.append(decision.supervision.rung)
+            simulation.advance(steering, planner.target_speed(state), STEP_NS)
+    return rungs
+
+
+def drive_with_a_simulator(folder: Path, *, faulty: bool) -> None:
+    """Record a drive whose car is in the bag, and whose state may be wrong where it is heard."""
+    car = SimulatedCar(VEHICLE, scenario_of("sc1"))
+    supervisor = Supervisor(configuration(Choices(static_path=True)))
+    simulation, planner = car.simulation(), SpeedPlanner(car.scenario)
+    with Bag(folder) as bag:
+        bag.configuration(supervisor)
+        bag.add(f"/simulator/{ros.CONFIGURATION}", String(data=to_yaml(car)))
+        bag.path(car.scenario.points, NANOSECONDS)
+        supervisor.take_path(car.scenario.points, NANOSECONDS, NANOSECONDS)
+        for tick in range(1, 61):
+            state = bag.state(simulation.car.measure(NANOSECONDS + simulation.elapsed_ns))
+            speed = planner.target_speed(state)
+            if faulty:
+                message = ros.odometry_message(state._replace(y=state.y + 0.1))
+                bag.add(f"/{ros.FAULTY}{ros.ODOM}", message)
+                state = ros.vehicle_state(message)
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            bag.decision(decision, tick)
+            simulation.advance(decision.command.steering, speed, TICK_NS)
+
+
+def nothing(_: Supervisor, __: int) -> None:
+    """Disturb nobody."""
+
+
+def qp_fails(supervisor: Supervisor, step: int) -> None:
+    """Let the solver fail for a second."""
+    supervisor.ladder.qp_fault = 100 <= step < 150
+
+
+def gains_change(supervisor: Supervisor, step: int) -> None:
+    """Use other limits in the middle of the drive."""
+    if step == 90:
+        settings = replace(supervisor.made.settings, max_increment=0.02)
+        supervisor.reconfigure(supervisor.made._replace(settings=settings))
+
+
+def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
+    """Ask for a stop by a second of failures, then take that back."""
+    qp_fails(supervisor, step)
+    if step == 300:
+        supervisor.stop_requested = False
+
+
+def assert_same_bits(folder: Path) -> None:
+    """Replay, and find no difference."""
+    run = read_run(folder)
+    decisions = list(repeat(run.ticks, run.made))
+    for tick, decision in zip(run.ticks, decisions, strict=True):
+        assert differences(tick, decision, 0.0) == []
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_ten_scenarios_replay_bit_for_bit(name: str, tmp_path: Path) -> None:
+    drive_in_lock_step(tmp_path / "bag", name)
+    assert len(read_run(tmp_path / "bag").ticks) == 60
+    assert_same_bits(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("controller", ["paper", "classic", "pure_pursuit"])
+def test_every_controller_replays_bit_for_bit(controller: str, tmp_path: Path) -> None:
+    drive_in_lock_step(tmp_path / "bag", "sc1", controller)
+    assert_same_bits(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("disturb", [nothing, qp_fails, gains_change, stop_is_taken_back])
+def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
+    disturb: Disturb, tmp_path: Path
+) -> None:
+    rungs = drive_in_real_time(tmp_path / "bag", disturb)
+    assert max(rungs) > 0  # the states that were lost are felt
+    assert_same_bits(tmp_path / "bag")
+
+
+def test_a_run_with_an_injector_replays_what_the_controller_heard(tmp_path: Path) -> None:
+    drive_with_a_simulator(tmp_path / "bag", faulty=True)
+    assert_same_bits(tmp_path / "bag")
+
+
+def test_the_loop_is_closed_from_the_bag_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive_with_a_simulator(tmp_path / "bag", faulty=False)
+
+    def errors(*arguments: str) -> list[str]:
+        assert main([str(tmp_path / "bag"), "--close-loop", *arguments]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        row = next(line for line in lines if "RMS cross-track" in line)
+        return [cell.strip() for cell in row.split("│")[2:4]]
+
+    recorded, same = errors()
+    assert float(same) == pytest.approx(float(recorded), rel=1e-3)
+    before, other = errors("--controller", "pure_pursuit")
+    assert before == recorded
+    assert float(other) > 10 * float(recorded)
+
+
+def test_another_process_replays_the_same_bits(tmp_path: Path) -> None:
+    drive_in_real_time(tmp_path / "bag", qp_fails)
+    command = [sys.executable, "-m", "launch_scripts.replay", str(tmp_path / "bag")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "every command is the recorded one, bit for bit" in done.stdout
+
+
+def test_the_first_difference_is_shown_with_its_inputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = scenario_of("sc1", 1.0)
+    supervisor = Supervisor(configuration(Choices(static_path=True)))
+    with Bag(tmp_path / "bag") as bag:
+        bag.configuration(supervisor)
+        bag.path(scenario.points, 0)
+        supervisor.take_path(scenario.points, 0, 0)
+        for tick in range(1, 6):
+            state = bag.state(VehicleState(tick * TICK_NS, 0.9 * tick, 0.02, 0.0, 9.0, 0.0, 0.0))
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            if tick == 3:  # a bit flips
+                angle = float(np.nextafter(decision.supervision.steering, 1.0))
+                wrong = decision.supervision._replace(steering=angle)
+                decision = decision._replace(supervision=wrong)
+            bag.decision(decision, tick)
+    assert main([str(tmp_path / "bag")]) == 1
+    said = capsys.readouterr().out
+    assert "first difference" in said
+    assert "at 0.200 s, stamp 300000000 ns" in said
+    assert "x = 2.7" in said
+    assert main([str(tmp_path / "bag"), "--tolerance", "1e-9"]) == 0
+
+
+def test_a_bag_without_ticks_is_taken_as_lock_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = scenario_of("sc1", 1.0)
+    supervisor = Supervisor(configuration(Choices(static_path=True)))
+    with Bag(tmp_path / "bag") as bag:
+        bag.path(scenario.points, 0)
+        supervisor.take_path(scenario.points, 0, 0)
+        for tick in range(1, 6):
+            state = bag.state(VehicleState(tick * TICK_NS, 0.9 * tick, 0.02, 0.0, 9.0, 0.0, 0.0))
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            bag.decision(decision, tick, tick=False)
+    assert main([str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert "no controller/tick" in said
+    assert "no controller/configuration" in said
+
+
+@pytest.mark.parametrize(
+    ("option", "differs"),
+    [
+        (["--set", "settings.max_increment=0.001"], True),
+        (["--controller", "pure_pursuit"], True),
+        (["--gain-table", "preview_paper"], False),
+    ],
+)
+def test_a_change_answers_the_recorded_situations(
+    option: list[str], differs: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive_in_lock_step(tmp_path / "bag", "sc2")
+    assert main([str(tmp_path / "bag"), *option]) == 0
+    said = capsys.readouterr().out
+    assert "open loop" in said
+    row = next(line for line in said.splitlines() if "ticks that differ" in line)
+    assert ("│     0 │" not in row) == differs
+
+
+def test_a_changed_value_is_checked_like_that_of_a_file() -> None:
+    made = configuration(Choices())
+    assert with_value("chassis.mass=1800")(made).chassis.mass == 1800
+    with pytest.raises(ValueError, match=r"--set chassis.mass=-1: mass = -1 must lie in \[1, 1"):
+        with_value("chassis.mass=-1")(made)
+    with pytest.raises(ValueError, match=r"--set weight=1: must be key=value; keys are chassis"):
+        with_value("weight=1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["none"], "none: there is no such file or folder"),
+        (["empty"], "no bag: the folder holds no .mcap file"),
+        (["bag", "--gain-table", "heavy"], "'heavy' is neither a file nor one of the shipped"),
+        (["bag", "--set", "mass=1"], "--set mass=1: must be key=value"),
+        (["bag", "--close-loop"], "no simulator/configuration, so there is no car to drive"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(
+    arguments: list[str],
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    drive_in_lock_step(tmp_path / "bag", "straight")
+    assert main(arguments) == 2
+    said = capsys.readouterr().out.strip()
+    assert sentence in said
+    assert said.startswith("error: ")
+    assert "\n" not in said

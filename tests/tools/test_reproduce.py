@@ -1,0 +1,274 @@
+"""The page of the reproduction: whole, offline, and every number measured in its run."""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ampc_ros.mpc.gain_table import load_gain_table
+from launch_scripts.reporting.page_html import num, table
+from launch_scripts.reporting.style import CONTROLLER_STYLES
+from launch_scripts.reproduce import main, switched
+from launch_scripts.run.json_values import to_json
+from launch_scripts.study.cases import (
+    FIXED_SPEED,
+    ROADS,
+    SHORT,
+    SWITCHES,
+    Found,
+    contender,
+    contenders,
+    numbers,
+    plant_vehicle,
+    road,
+    run,
+)
+from launch_scripts.study.claims import (
+    DIRECTION,
+    NO,
+    PAPER,
+    YES,
+    claims,
+    ratio_verdict,
+    tuned_claim,
+    wind_claim,
+)
+from launch_scripts.study.search import (
+    GIVEN_UP,
+    dimensions,
+    fitness_of,
+    gains_of,
+    mean_square,
+    swarm_settings,
+)
+from launch_scripts.tuning.fleet_rows import Entry, drive_all
+from sim_vehicle.closed_loop import Simulation
+from tests.html_pages import Elements, check_that_no_request_leaves
+
+TABLE3 = load_gain_table("table3").nodes[0]
+FOUND = Found((0.5, 3.0), TABLE3, TABLE3)
+PLAIN: frozenset[str] = frozenset()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("reproduce")
+    assert main(["--quick", "--output", str(output)]) == 0
+    return output
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> str:
+    return (folder / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    return content
+
+
+def leaves(content: Any) -> Iterator[float]:
+    """Give all numbers of a JSON document."""
+    if isinstance(content, dict):
+        content = list(content.values())
+    if isinstance(content, list):
+        for item in content:
+            yield from leaves(item)
+    elif isinstance(content, (int, float)):
+        yield float(content)
+
+
+def test_every_number_of_the_page_stands_in_the_results(page: str, results: dict[str, Any]) -> None:
+    known = set(leaves(results))
+    shown = [float(a["value"] or "") for tag, a in Elements(page).found if tag == "data"]
+    assert len(shown) > 100
+    assert set(shown) <= known
+
+
+def test_numbers_in_tables_of_results_are_measured_ones(page: str) -> None:
+    cells = re.findall(r'<td class="n"[^>]*>(.*?)</td>', page)
+    assert len(cells) > 100
+    for cell in cells:
+        words = re.sub(r"<data .*?</data>", "", cell)
+        assert not re.search(r"\d", re.sub(r"<[^>]*>", "", words)), cell
+
+
+def test_no_request_leaves_the_page(page: str) -> None:
+    check_that_no_request_leaves(page)
+
+
+def test_the_page_is_one_small_file_with_a_described_picture_for_each_figure(page: str) -> None:
+    images = [attributes for tag, attributes in Elements(page).found if tag == "img"]
+    roads, others = 2, ("adaptation", "sphere", "tuning", "look-ahead", "sweep")
+    assert len(images) == roads + len(others)
+    assert all(image["alt"] for image in images)
+    assert len(page.encode()) < 5_000_000
+
+
+def test_the_run_says_how_to_repeat_it(results: dict[str, Any]) -> None:
+    assert {"command", "date", "seeds", "version", "machine", "packages"} <= set(results["meta"])
+    assert "--quick" in results["meta"]["command"]
+    assert results["duration_s"] > 0
+
+
+def test_every_contender_has_a_number_on_every_road_driven(results: dict[str, Any]) -> None:
+    for row in results["roads"].values():
+        assert set(row) == set(contenders())
+        assert all(measured["mse_m2"] >= 0 for measured in row.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--switch", "tire=paper"], "--switch tire=paper: 'tire' must be one of tyre"),
+        (["--switch", "tyre=nobody"], "'nobody' must be one of paper, authors_code"),
+        (["--switch", "tyre"], "--switch tyre: '' must be one of"),
+        (["--sphere-seeds", "0"], "--sphere-seeds 0 must be at least 1"),
+        (["--reading", "mine"], "invalid choice: 'mine'"),
+        (["--output", __file__], "is a file, must be a folder"),
+    ],
+)
+def test_bad_arguments_give_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    complaints = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert len(complaints) == 1
+    assert words in complaints[0]
+
+
+def test_a_switch_overrides_the_reading() -> None:
+    assert switched("paper", []) == PLAIN
+    assert switched("authors_code", []) == set(SWITCHES)
+    assert switched("authors_code", ["tyre=paper"]) == set(SWITCHES) - {"tyre"}
+    assert switched("paper", ["tyre=authors_code", "tyre=paper"]) == PLAIN
+
+
+@pytest.mark.parametrize("switch", [name for name, s in SWITCHES.items() if s.drives])
+def test_a_switch_that_changes_drives_changes_a_drive(switch: str) -> None:
+    windy = road("sc3_constant", duration=25.0)
+    driven = [run("paper", windy, FOUND, frozenset(s)) for s in ((), (switch,))]
+    assert not np.array_equal(driven[0].error, driven[1].error)
+
+
+@pytest.mark.parametrize("switch", [name for name, s in SWITCHES.items() if not s.drives])
+def test_a_switch_that_changes_searches_changes_one(switch: str) -> None:
+    at = np.array([[0.8, 3.0, 10.0, 30.0, 1.0, -2.0]])
+
+    def search(authors: frozenset[str]) -> tuple[Any, ...]:
+        settings = swarm_settings(authors)
+        return settings, dimensions(authors), float(fitness_of(False, ("sc1",), authors)(at)[0])
+
+    assert search(frozenset([switch])) != search(PLAIN)
+
+
+def test_the_adaptive_model_is_the_classic_one_where_speed_is_constant() -> None:
+    mse = {n: numbers(run(n, road("sc1"), FOUND))["mse_m2"] for n in ("paper", "classic")}
+    assert mse["classic"] == pytest.approx(mse["paper"], rel=0.01)
+
+
+def test_on_varying_speed_the_adaptive_model_is_three_times_better() -> None:
+    mse = {n: numbers(run(n, road("sc2"), FOUND))["mse_m2"] for n in ("paper", "classic")}
+    assert mse["classic"] >= 3 * mse["paper"]
+
+
+def test_at_18_m_s_the_fixed_model_is_lost_in_wind_and_without_and_the_adaptive_is_not() -> None:
+    windy = road("sc3_fast_wind")
+    for scenario in (windy, windy._replace(wind=())):
+        assert np.abs(run("classic", scenario, FOUND).error).max() > 3
+        assert np.abs(run("paper", scenario, FOUND).error).max() < 1.5
+
+
+@pytest.mark.parametrize(
+    ("here", "paper", "lost", "verdict"),
+    [
+        (4.0, 3.9, False, YES),
+        (4.0, 3.9, True, DIRECTION),
+        (6.0, 3.9, False, DIRECTION),
+        (2.5, 3.9, False, DIRECTION),
+        (1.05, 3.9, False, NO),
+        (0.2, 3.9, False, NO),
+    ],
+)
+def test_a_ratio_is_judged_by_direction_and_size(
+    here: float, paper: float, lost: bool, verdict: str
+) -> None:
+    assert ratio_verdict(here, paper, lost) == verdict
+
+
+@pytest.mark.parametrize(
+    ("own", "its", "calm", "verdict"),
+    [(1.0, 9.0, 1.0, YES), (1.0, 9.0, 9.0, DIRECTION), (1.0, 2.0, 1.0, NO), (5.0, 9.0, 1.0, NO)],
+)
+def test_wind_counts_as_a_cause_only_if_calm_air_is_harmless(
+    own: float, its: float, calm: float, verdict: str
+) -> None:
+    effect = {
+        "paper": {"wind_m": own, "calm_m": 1.0},
+        "classic": {"wind_m": its, "calm_m": calm},
+    }
+    judged = wind_claim({"wind_effect": {"sc3_wind": effect}}, "sc3_wind", "here", "")
+    assert judged.verdict == verdict
+
+
+def test_claims_about_roads_that_were_not_driven_are_left_out(results: dict[str, Any]) -> None:
+    found = claims(results)
+    assert [claim._asdict() for claim in found] == results["claims"]
+    assert not [claim for claim in found if "Sc3," in claim.claim]
+
+
+def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) -> None:
+    worse = {
+        road: {**row, "paper_pso": {**row["paper"], "mse_m2": 2 * row["paper"]["mse_m2"]}}
+        for road, row in results["roads"].items()
+    }
+    judged = tuned_claim({**results, "roads": worse})
+    assert judged.verdict == NO
+    assert judged.here[:4] == ["MSE of Table 3 over MSE tuned", ", table: ", 0.5, " to "]
+
+
+def test_a_drive_that_was_given_up_counts_to_its_end() -> None:
+    scenario = road("sc1", duration=10.0)
+    car = plant_vehicle(PLAIN)
+    steering = contender("paper", FIXED_SPEED["sc1"], FOUND, PLAIN)
+    (driven,) = drive_all([Entry(Simulation(car, scenario), steering)], lost=0.2)  # type: ignore[arg-type]
+    whole = mean_square(driven, scenario, car.chassis.cg_to_rear_axle, 0.1)
+    missing = 100 - len(driven.states)
+    assert missing > 0
+    assert whole == pytest.approx(missing / 100 * GIVEN_UP**2, rel=0.01)
+
+
+def test_gains_of_a_particle_keep_the_horizons_in_order() -> None:
+    gains = gains_of(np.array([0.5, 6.0, 30.0, 5.0, 1.0, -2.0]))
+    assert (gains.prediction_horizon, gains.control_horizon, gains.laguerre_terms) == (5, 5, 5)
+    assert (gains.output_weight, gains.increment_weight) == pytest.approx((10.0, 0.01))
+
+
+def test_singular_gains_have_no_fitness() -> None:
+    singular = np.array([[0.9, 9.0, 18.0, 55.0, 1.0, -3.0]])
+    assert math.isinf(fitness_of(False, ("sc1",), PLAIN)(singular)[0])
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0.03344, "0.0334"), (1.8709e-6, "1.87e-6"), (461.2, "461"), (13589.0, "13,600"), (3, "3")],
+)
+def test_numbers_are_short_and_carry_their_value(value: float, shown: str) -> None:
+    assert num(value) == f'<data value="{value!r}">{shown}</data>'
+
+
+def test_words_of_others_are_no_html() -> None:
+    assert "<b>" not in table(("a", "b"), [("<b>", "<b>")], ["<b>"])
+
+
+def test_names_fit_together() -> None:
+    assert set(PAPER) <= set(ROADS) == set(SHORT) == set(FIXED_SPEED)
+    assert set(CONTROLLER_STYLES) >= {"paper", "classic", "pure_pursuit", "preview"}
+    assert to_json({"a": [math.inf, 1.0]}) == {"a": [None, 1.0]}

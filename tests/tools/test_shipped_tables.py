@@ -1,0 +1,80 @@
+"""The tuned tables that come with the packages: whose they are, and where they come from."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ampc_msgs_config import config
+from ampc_ros.configuration import Choices, default_table
+from ampc_ros.controller import make_controller
+from ampc_ros.mpc.gain_table import gain_table, load_gain_table
+from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.tune import parser, task_of
+from launch_scripts.tuning.fitness import Node, fitness
+from launch_scripts.tuning.task import describe, held_out, reached
+from sim_vehicle.parameters import load_vehicle
+
+TUNED = {"paper_pso": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
+
+
+def content(name: str) -> dict[str, object]:
+    return config.read(config.find("gains", name))
+
+
+@pytest.mark.parametrize("name", TUNED)
+def test_the_command_in_a_table_describes_the_task_that_made_it(name: str) -> None:
+    found = content(name)["provenance"]
+    assert isinstance(found, dict)
+    words = found["command"].split()
+    assert words[:2] == ["python", "launch_scripts/tune.py"]
+    described = describe(task_of(parser().parse_args(words[2:])))
+    assert {key: found[key] for key in described} == json.loads(json.dumps(described))
+    assert found["vehicle"] == TUNED[name]
+    assert len(found["seeds"]) >= 2
+
+
+@pytest.mark.parametrize("name", TUNED)
+def test_a_shipped_table_is_what_its_verdict_says(name: str) -> None:
+    found = content(name)
+    provenance, table = found["provenance"], gain_table(found)
+    assert isinstance(provenance, dict)
+    assert provenance["verdict"].endswith("table written") == (len(set(table.nodes)) > 1)
+
+
+def test_a_shipped_vehicle_gets_its_own_table_and_any_other_the_one_for_all(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    own = tmp_path / "paper.yaml"
+    own.write_bytes(config.find("vehicles", "paper").read_bytes())
+    assert default_table("preview", "paper") == "preview_paper"
+    assert default_table("preview", "ordinary") == "preview_ordinary"
+    assert default_table("preview", str(own)) == "preview"
+    assert default_table("paper", "paper") == default_table("classic", "paper") == "table3"
+    for vehicle, name in (("ordinary", "preview_ordinary"), (str(own), "preview")):
+        controller = make_controller(Choices(vehicle=vehicle))
+        assert isinstance(controller, PreviewMpc)
+        expected = np.array(load_gain_table(name).nodes, dtype=float)
+        np.testing.assert_array_equal(controller.table.nodes, expected)
+
+
+@pytest.mark.parametrize("car", ["paper", "ordinary"])
+def test_the_default_gains_are_better_than_hand_set_ones_at_speeds_that_no_search_saw(
+    car: str,
+) -> None:
+    vehicle, ratios = load_vehicle(config.find("vehicles", car)), []
+    tables = [load_gain_table(name) for name in (default_table("preview", car), "preview")]
+    for v in (6.5, 13.0, 17.5, 36.5):
+        node = Node(vehicle, "preview", "robust", v)
+        tuned, hand_set = fitness(node, [table.lookup(v).gains for table in tables])
+        ratios.append(tuned / hand_set)
+    assert np.exp(np.mean(np.log(ratios))) < 0.8
+
+
+def test_the_tuned_table_of_the_paper_steps_better_than_table_3() -> None:
+    task = task_of(parser().parse_args(["--formulation", "paper"]))
+    ratios = []
+    for node in [n for n in held_out(task) if reached(n) and n.reference in (5.0, -10.0)][::4]:
+        tables = [load_gain_table(name) for name in ("paper_pso", "table3")]
+        gains = [table.lookup(node.speed, node.reference).gains for table in tables]
+        tuned, table_3 = fitness(node, gains)
+        ratios.append(tuned / table_3)
+    assert np.exp(np.mean(np.log(ratios))) < 0.95

@@ -1,0 +1,285 @@
+"""The start script: what it drives, what it leaves behind, and how it ends."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from rich.console import Console
+
+from ampc_msgs_config.config import find
+from ampc_msgs_config.scenarios.scenario import load_scenario
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
+from launch_scripts import start
+from launch_scripts.bags.bag import is_complete, read
+from launch_scripts.bags.drive_log import read_drive
+from launch_scripts.run.processes import Processes
+from sim_vehicle.closed_loop import Simulation, drive
+from sim_vehicle.parameters import load_vehicle
+
+PATIENCE = 120.0
+"""Wall time after which a wait has failed, compiling included [s]."""
+MARK = "AMPC_TEST_RUN"
+MODULES = {
+    "recorder": "ampc_msgs_config.nodes.recorder_node",
+    "planner": "ampc_ros.nodes.planner_node",
+    "controller": "ampc_ros.nodes.controller_node",
+    "simulator": "sim_vehicle.nodes.simulator_node",
+    "markers": "ampc_msgs_config.nodes.marker_node",
+}
+NEEDED = [name for name in MODULES if name != "markers"]
+
+
+class Started(NamedTuple):
+    """A running start script."""
+
+    process: subprocess.Popen[str]
+    folder: Path
+    mark: str
+    """In the environment of the script and of all that it starts."""
+
+
+def start_script(folder: Path, *options: str) -> Started:
+    """Start the script."""
+    mark = uuid.uuid4().hex
+    process = subprocess.Popen(
+        [sys.executable, start.__file__, "--output", str(folder), *options],
+        env={**os.environ, MARK: mark},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    return Started(process, folder, mark)
+
+
+def run(folder: Path, *options: str) -> tuple[int, str]:
+    """Run the script to its end; gives exit code and output."""
+    started = start_script(folder, *options)
+    said, _ = started.process.communicate(timeout=PATIENCE)
+    assert processes(started.mark) == {}
+    return started.process.returncode, said
+
+
+def processes(mark: str) -> dict[int, str]:
+    """Give the command lines of the living processes that carry a mark, by their id."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"{MARK}={mark}".encode() in (entry / "environ").read_bytes():
+                found[int(entry.name)] = (entry / "cmdline").read_text().replace("\0", " ")
+        except OSError:
+            continue  # it has just ended, or belongs to another user
+    return found
+
+
+def pid_of(node: str, started: Started) -> int:
+    """Give the id of a node's process."""
+    found = [pid for pid, line in processes(started.mark).items() if MODULES[node] in line]
+    assert len(found) == 1
+    return found[0]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Wait for a condition."""
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.05)
+
+
+def start_and_drive(folder: Path) -> Started:
+    """Start a long drive in real time, and wait until a second of it is on disk."""
+    started = start_script(folder, "--real-time", "--controller", "pure_pursuit")
+    log = folder / "log" / "planner.log"
+    wait_for(lambda: log.exists() and "the drive starts" in log.read_text())
+    time.sleep(1.5)
+    return started
+
+
+def drive_offline(scenario: str, controller: str) -> tuple[list[object], list[float]]:
+    """Give states and commands of the same drive without ROS."""
+    vehicle = load_vehicle(find("vehicles", "paper"))
+    car = Simulation(vehicle, load_scenario(scenario, vehicle.size))
+    offline = drive(car, make_controller(Choices(controller=controller)))
+    return list(offline.states), offline.steering.tolist()
+
+
+def test_the_bag_of_a_run_holds_the_offline_loop_to_the_last_bit(tmp_path: Path) -> None:
+    code, said = run(tmp_path / "run", "--scenario", "sc1", "--controller", "paper")
+    assert code == 0, said
+    log = read_drive(tmp_path / "run" / "bag")
+    states, steering = drive_offline("sc1", "paper")
+    assert log.drive.states == states
+    assert log.drive.steering.tolist() == steering
+    assert is_complete(tmp_path / "run" / "bag")
+    assert (tmp_path / "run" / "drive.png").stat().st_size > 10_000
+    assert 1_000_000 < (tmp_path / "run" / "report.html").stat().st_size < 3_000_000
+    result = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert result["ended"] == "completed"
+    assert result["metrics"]["ticks"] == 170
+    assert result["metrics"]["missed_ticks"] == 0
+    assert 0.02 < result["metrics"]["mse_lateral_m2"] < 0.05
+    assert "MSE of the cross-track error" in said
+
+
+def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
+    road = tmp_path / "road.csv"
+    rows = "".join(f"{0.6 * x},{0.8 * x},7.0,ignored\n" for x in range(23))
+    road.write_text("x_m,y_m,v_mps,note\n" + rows, encoding="utf-8")
+    code, said = run(tmp_path / "run", "--path", str(road), "--real-time")
+    assert code == 0, said
+    result = json.loads((tmp_path / "run" / "metrics.json").read_text())["metrics"]
+    assert 25 <= result["ticks"] <= 60  # more where the car waits for its first command
+    assert result["max_error_m"] < 0.05
+    odom = [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/odom"]
+    assert len(odom) > 100
+    assert not [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/clock"]
+
+
+MISSED = {
+    "recorder": [],
+    "planner": ["simulator: no target_speed for"],
+    "controller": ["simulator: no steering_command for"],
+    "simulator": [
+        "controller: steering by shifted_plan, because of state_late",
+        "controller: a stop is requested, because of state_lost",
+        "planner: a stop is requested: braking",
+    ],
+}
+"""What the others say when a node is lost."""
+
+
+@pytest.mark.parametrize("node", NEEDED)
+def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
+    node: str, tmp_path: Path
+) -> None:
+    started = start_and_drive(tmp_path / "run")
+    os.kill(pid_of(node, started), signal.SIGKILL)
+    said, _ = started.process.communicate(timeout=30)
+    assert started.process.returncode == 1
+    assert f"error: {node} was killed by SIGKILL" in said
+    assert "go on for 1.5 s, and are ended then:" in said
+    assert [sentence for sentence in MISSED[node] if sentence not in said] == []
+    assert f"logs: {started.folder}" in said
+    assert processes(started.mark) == {}
+    assert len(read_drive(started.folder / "bag").drive.states) > 5
+    assert is_complete(started.folder / "bag") == (node != "recorder")
+    if node == "recorder":
+        assert f"whole: {started.folder}/bag_recovered" in said
+        assert is_complete(started.folder / "bag_recovered")
+        recovered = read_drive(started.folder / "bag_recovered").drive
+        assert recovered.states == read_drive(started.folder / "bag").drive.states
+    assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
+
+
+def test_the_drive_goes_on_when_only_the_markers_are_killed(tmp_path: Path) -> None:
+    started = start_and_drive(tmp_path / "run")
+    os.kill(pid_of("markers", started), signal.SIGKILL)
+    time.sleep(1.5)
+    assert started.process.poll() is None
+    started.process.send_signal(signal.SIGINT)
+    said, _ = started.process.communicate(timeout=30)
+    assert started.process.returncode == 130
+    assert "killed" not in said
+    assert is_complete(started.folder / "bag")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_ends_all_closes_the_bag_and_judges_what_was_driven(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    started = start_and_drive(tmp_path / "run")
+    started.process.send_signal(number)
+    started.process.send_signal(number)  # an impatient user
+    said, _ = started.process.communicate(timeout=30)
+    assert started.process.returncode == 128 + number
+    assert f"interrupted by {number.name}" in said
+    assert processes(started.mark) == {}
+    assert is_complete(started.folder / "bag")
+    assert json.loads((started.folder / "metrics.json").read_text())["metrics"]["ticks"] > 5
+
+
+def test_the_nodes_end_with_a_killed_start_script_and_the_bag_is_closed(tmp_path: Path) -> None:
+    started = start_and_drive(tmp_path / "run")
+    started.process.kill()
+    started.process.communicate()
+    wait_for(lambda: processes(started.mark) == {})
+    assert is_complete(started.folder / "bag")
+
+
+def test_what_only_a_node_can_refuse_is_said_in_one_line_and_nothing_is_left(
+    tmp_path: Path,
+) -> None:
+    code, said = run(tmp_path / "run", "--scenario", "circle", "--controller", "paper")
+    assert code == 2
+    errors = re.findall(r"^error: .*$", said, re.MULTILINE)
+    assert len(errors) == 1
+    assert "controller ended with exit code 2: reference_path: turns by" in errors[0]
+    assert not (tmp_path / "run").exists()
+
+
+WRONG_OPTIONS = {
+    "--scenario=sc99": "'sc99' is neither a file nor one of the shipped scenarios: circle, ",
+    "--vehicle=tank": "'tank' is neither a file nor one of the shipped vehicles: ordinary, paper",
+    "--settings=x": "'x' is neither a file nor one of the shipped controllers: ",
+    "--guard=x": "'x' is neither a file nor one of the shipped guards: road, track",
+    "--gain-table=x": "'x' is neither a file nor one of the shipped gains: ",
+    "--noise=loud": "'loud' is neither a file nor one of the shipped noise: x1",
+    "--path=none.csv": "none.csv: cannot be read: ",
+    "--path=bad.csv": "bad.csv: line 3: 'nan' must be finite",
+    "--speed=nan": "speed = [[0.0, nan]] must be a list of [time, speed]",
+    "--output=.": ".: cannot make this folder: File exists",
+}
+
+
+@pytest.mark.parametrize("option", WRONG_OPTIONS)
+def test_a_wrong_name_or_file_is_said_in_one_line_before_any_process_starts(
+    option: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "bad.csv").write_text("x_m,y_m\n0,0\nnan,1\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delattr(Processes, "start")
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its own
+    assert start.main([option]) == 2
+    said = capsys.readouterr().out
+    assert said.startswith("error: ")
+    assert WRONG_OPTIONS[option] in said
+    assert said.count("\n") == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["bad.csv"]
+
+
+def test_an_unknown_controller_is_answered_with_the_known_ones(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        start.main(["--controller", "magic"])
+    said = capsys.readouterr().err
+    assert "invalid choice: 'magic'" in said
+    assert "preview" in said
+    assert "pure_pursuit" in said
+
+
+def test_what_a_node_says_about_compiling_is_shown_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "[INFO] [1795466263.678345902] [controller]: compiling the controller (once ...) ...\n"
+    with Processes(tmp_path) as nodes:
+        nodes.start("controller", "this_module_is_not_there", {})
+        nodes.running["controller"].wait()
+        nodes.log("controller").write_text("[INFO] [1.0] [x]: ready\n" + said, encoding="utf-8")
+        told: set[str] = set()
+        for _ in range(3):
+            start.tell_what_compiles(nodes, Console(), told)
+    assert capsys.readouterr().out == "compiling the controller (once ...) ...\n"

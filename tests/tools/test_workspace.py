@@ -1,0 +1,117 @@
+"""The workspace: what colcon sees, and what bootstrap says when it cannot go on."""
+
+import importlib
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from launch_scripts import bootstrap
+from tests.contract.test_architecture import imported, packages
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = {"ampc_msgs_config", "ampc_ros", "launch_scripts", "sim_vehicle"}
+KEYS = {
+    "PIL": "python3-pil",
+    "yaml": "python3-yaml",
+    **{name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "rich", "scipy")},
+}
+"""Of rosdep, by the name of the module."""
+NO_KEY = {"lz4", "mcap", "plotly", "rosbags", "tsdownsample", "zstandard"}
+DEVELOPMENT = {
+    *("casadi", "cma", "daqp", "do_mpc", "osqp", "piqp", "quadprog", "python3-scipy"),
+    *("distributed", "setuptools", "vehiclemodels"),
+}
+"""What only benchmarks, tests or a cluster need."""
+PIP_OUTPUTS = {
+    "the package index cannot be reached": """
+WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError(': Failed to
+establish a new connection: [Errno -3] Temporary failure in name resolution')': /simple/numba/
+ERROR: Could not find a version that satisfies the requirement numba==0.68.1 (from versions: none)
+ERROR: No matching distribution found for numba==0.68.1
+""",
+    "there is no wheel of ros-jazzy-rclpy[fastrtps] for Python 3.15.0 on aarch64": """
+ERROR: Could not find a version that satisfies the requirement ros-jazzy-rclpy[fastrtps]==7.1.6
+ERROR: No matching distribution found for ros-jazzy-rclpy[fastrtps]==7.1.6
+""",
+    "without a compiler": """
+error: command 'gcc' failed: No such file or directory
+ERROR: Failed building wheel for contourpy
+""",
+    "not the one that was locked": """
+ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE. If you have updated the
+package versions, please update the hashes. Otherwise, examine the package contents carefully
+    mdurl==0.1.2 from file:///wheels/mdurl-0.1.2-py3-none-any.whl (from -r a.txt (line 5))
+""",
+    "the disk is full": """
+ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device
+""",
+    "pip failed: ERROR: something never seen before": "ERROR: something never seen before\n",
+}
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("colcon_core"), reason="colcon is not installed")
+def test_colcon_builds_every_package_as_ament_python() -> None:
+    command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    kinds = {line.split("\t")[0]: line.split("\t")[2] for line in listed.splitlines()}
+    assert kinds == dict.fromkeys(PACKAGES, "(ros.ament_python)")
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_manifest_and_setup_agree_on_version_and_maintainer(package: str) -> None:
+    manifest = (ROOT / package / "package.xml").read_text(encoding="utf-8")
+    setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
+    for pattern in (r"<version>(.+)</version>", r'email="(.+?)"', r"<license.*>(.+)</license>"):
+        found = re.search(pattern, manifest)
+        assert found
+        assert f'"{found[1]}"' in setup
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_every_executable_names_a_function_that_is_there(package: str) -> None:
+    setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
+    executables = re.findall(r'"\w+ = ([\w.]+):(\w+)"', setup)
+    assert executables
+    for module, function in executables:
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_manifest_names_what_the_modules_import(package: str) -> None:
+    manifest = (ROOT / package / "package.xml").read_text(encoding="utf-8")
+    named = set(re.findall(r"<exec_depend>(.+)</exec_depend>", manifest))
+    folder = ROOT / package if package == "launch_scripts" else ROOT / package / package
+    found = set().union(*(packages(imported(file)) for file in folder.rglob("*.py")))
+    needed = {KEYS.get(name, name) for name in found - sys.stdlib_module_names - NO_KEY - {package}}
+    assert needed - named <= (DEVELOPMENT if package == "launch_scripts" else set())
+
+
+@pytest.mark.parametrize("expected", PIP_OUTPUTS)
+def test_bootstrap_turns_a_failure_of_pip_into_one_sentence(expected: str) -> None:
+    sentence = bootstrap.explain_pip(PIP_OUTPUTS[expected], "3.15.0", "aarch64")
+    assert expected in sentence
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize("machine", [("Linux", "aarch64"), ("Darwin", "arm64"), ("Windows", "x")])
+def test_bootstrap_sends_machines_without_ros_wheels_to_ros_itself(
+    machine: tuple[str, str],
+) -> None:
+    with pytest.raises(bootstrap.SetupError, match="install ROS 2 Jazzy"):
+        bootstrap.require_wheels(*machine)
+
+
+def test_bootstrap_refuses_another_ros_distribution() -> None:
+    with pytest.raises(bootstrap.SetupError, match="humble is sourced"):
+        bootstrap.uses_installed_ros("humble")
+
+
+def test_bootstrap_names_a_missing_venv_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(bootstrap.SetupError, match="apt install python3-venv"):
+        bootstrap.create_venv(with_ros=False)

@@ -1,0 +1,177 @@
+"""What is measured of ours, behind plain functions: the one place that follows changes of it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import astuple, replace
+from functools import partial
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.metrics import Drive
+from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
+from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.scenarios.scenario import load_scenario
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.configuration import Choices
+from ampc_ros.controller import make_controller
+from ampc_ros.mpc.active_set import active_set, solve_in, solver_memory, solver_numbers
+from ampc_ros.mpc.gain_table import Gains, load_gain_table
+from ampc_ros.mpc.internal_model import Limits, limits_of
+from ampc_ros.mpc.laguerre import laguerre_sequence
+from ampc_ros.mpc.model import Vehicle
+from ampc_ros.mpc.programme import Move, Tick, plan, problem, scratch_numbers
+from ampc_ros.mpc.qp import SOLVED, Qp
+from ampc_ros.mpc.small_matrices import Scratch, make_scratch, vector
+from ampc_ros.paper.controller import LateralMpc
+from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.tuning.fleet import STEERING
+from launch_scripts.tuning.fleet_rows import Entry, prepare, run
+from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.parameters import load_vehicle
+
+CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+VEHICLE: Vehicle = astuple(CHASSIS)
+SETTINGS = load(ControllerSettings, find("controllers", "table3"))
+CAR = load_vehicle(find("vehicles", "paper"))
+ROADS = ("sc1", "sc2", "sc3_constant", "sc3_wind")
+GAINS = load_gain_table("table3").nodes[0]
+"""(45, 15, 5): the paper's sizes."""
+
+
+class Task(NamedTuple):
+    """One tick to answer: gains, lane, and what the controller knows."""
+
+    gains: Gains
+    half_width: float
+    """Of the soft lane; infinite: no output rows [m]."""
+    tick: Tick
+
+
+def limits(half_width: float = math.inf) -> Limits:
+    """Give the limits of Table 3, with a lane if asked for."""
+    return limits_of(replace(SETTINGS, max_output_error=half_width))
+
+
+def posed(task: Task) -> Qp:
+    """Pose the programme of a tick."""
+    return problem(VEHICLE, task.gains, limits(task.half_width), task.tick)
+
+
+def qp_alone(qp: Qp) -> Callable[[], Array | None]:
+    """Give a call that solves, in memory made beforehand."""
+    programme, memory = tuple(qp), solver_memory(*qp.M.shape)
+
+    def solve() -> Array | None:
+        _, status = solve_in(programme, memory)
+        return memory[0] if status == SOLVED else None
+
+    return solve
+
+
+@in_place
+def solve_often(qp: Qp, x: Array, multipliers: Array, scratch: Scratch, times: int) -> None:
+    """Solve again and again, as often as the compiled tick would in so many ticks."""
+    for _ in range(times):
+        for i in range(len(multipliers)):
+            multipliers[i] = 0.0
+        active_set(qp, x, multipliers, scratch)
+
+
+def qp_inside(qp: Qp, times: int) -> Callable[[], object]:
+    """Give a call that solves so often inside compiled code."""
+    m, n = qp.M.shape
+    memory = np.zeros(n), np.zeros(m), make_scratch(solver_numbers(m, n))
+    return partial(solve_often, qp, *memory, times)
+
+
+def whole_tick(gains: Gains) -> Callable[[Tick], float | None]:
+    """Give what answers a tick by its first move [rad], in memory made beforehand."""
+    scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
+    known = VEHICLE, tuple(gains), tuple(limits())
+
+    def answer(tick: Tick) -> float | None:
+        Delta_u, status = plan_often(*known, tuple(tick), scratch, 1)
+        return Delta_u if status == SOLVED else None
+
+    return answer
+
+
+def tick_inside(gains: Gains, tick: Tick, times: int) -> Callable[[], object]:
+    """Give a call that answers a tick so often inside compiled code."""
+    scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
+    known = VEHICLE, tuple(gains), tuple(limits()), tuple(tick)
+    return partial(plan_often, *known, scratch, times)
+
+
+@in_place
+def plan_often(
+    vehicle: Vehicle,
+    gains: tuple[Any, ...],
+    bounds: tuple[Any, ...],
+    tick: tuple[Any, ...],
+    scratch: tuple[Any, ...],
+    times: int,
+) -> tuple[float, int]:
+    """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
+    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
+    for _ in range(times):
+        memory.used[0] = 0
+        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), vector(memory, 0), memory)
+    return move.Delta_u, move.status
+
+
+def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:
+    """Give the controller's answers to a drive, each from what it remembered then."""
+    controller = LateralMpc(CHASSIS, SETTINGS, load_gain_table("table3"))
+    remembered = []
+    for state in driven.states:
+        remembered.append(controller.memory.copy())
+        controller.step(state, path)
+
+    def step(memory: Array, state: VehicleState) -> object:
+        controller.memory[:] = memory
+        return controller.step(state, path)
+
+    return [partial(step, *both) for both in zip(remembered, driven.states, strict=True)]
+
+
+def laguerre(gains: Gains) -> Array:
+    """Laguerre functions L(0)' .. L(N_c - 1)' as rows (N_c, N)."""
+    L = np.zeros((gains.control_horizon, gains.laguerre_terms))
+    laguerre_sequence(gains.laguerre_pole, L)
+    return L
+
+
+def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Callable[[], int]:
+    """Put cars on the paper's roads, the friction of each another.
+
+    Args:
+        formulation: `paper` or `preview`.
+        cars: How many.
+        step: Of the integration [s].
+        seconds: Of the drives, simulated time.
+
+    Returns:
+        A call that drives all of them to their ends, in one thread, and gives the number of
+        control ticks that this took.
+    """
+    roads = [load_scenario(name, CAR.size)._replace(duration=seconds) for name in ROADS]
+    step_ns, friction = round(step * NANOSECONDS), np.linspace(0.8, 1.0, cars)
+    choices = Choices(formulation, settings="table3")
+    expedition = prepare(
+        [
+            Entry(
+                Simulation(CAR, roads[i % len(roads)], step_ns, friction=float(friction[i])),
+                cast(LateralMpc | PreviewMpc, make_controller(choices)),
+            )
+            for i in range(cars)
+        ]
+    )
+
+    def drive() -> int:
+        return int(np.isfinite(run(expedition)[:, :, STEERING]).sum())
+
+    return drive

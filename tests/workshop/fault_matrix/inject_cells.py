@@ -1,0 +1,187 @@
+"""The cells of the fault matrix: one fault on one road, and what became of the car."""
+
+import math
+from collections import Counter
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ampc_msgs_config.config import find
+from ampc_msgs_config.metrics import LOST
+from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.types import NANOSECONDS, OPTIMAL, REASONS, RUNGS
+from ampc_ros.configuration import Choices, Configuration, configuration
+from ampc_ros.supervision.supervisor import Supervisor
+from launch_scripts.faults.schedule import Fault, Injector, Plan
+from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.parameters import Vehicle, load_vehicle
+from tests.workshop.fault_matrix.fault_loop import ODOM_NS, FaultyDrive, Log
+from tests.workshop.fault_matrix.inject_cases import Case, excuse
+
+EARLIEST = 1.0
+"""When a fault starts, at least [s]."""
+OBSERVED = 10.0
+"""Time after a fault of 3 s that each drive has left, at least [s]."""
+NEAR, EXTRA = 0.1, 0.05
+"""A car has recovered within NEAR of its path, or EXTRA more than without the fault [m]."""
+STANDING = 0.3
+"""Speed below which a car is safe where it is: the steering holds [m/s]."""
+SETTLED = 0.5
+"""For how long at the end of the drive [s]."""
+
+
+class Conditions(NamedTuple):
+    """What all cells share."""
+
+    controller: str = "preview"
+    vehicle: str = "paper"
+    guard: str = "track"
+    seed: int = 0
+    obey: bool = False
+
+
+class Course(NamedTuple):
+    """A road, with the drive without a fault."""
+
+    scenario: Scenario
+    start: float
+    """Of each fault: where the lateral acceleration is largest [s]."""
+    free: Log
+
+
+class Cell(NamedTuple):
+    """One fault on one road."""
+
+    case: str
+    scenario: str
+    max_error: float
+    """From the start of the fault on [m]."""
+    free_error: float
+    """The same without the fault [m]."""
+    recovery: float
+    """From the end of the fault; nan: not in this drive [s]."""
+    lost_after: float
+    """First time farther than LOST from the path; nan: never [s]."""
+    rungs: dict[str, float]
+    """Time on each rung, from the start of the fault on [s]."""
+    reasons: tuple[str, ...]
+    rejected: dict[str, int]
+    """Inputs, by cause."""
+    clips: dict[str, int]
+    """By the guard, by limit."""
+    resets: int
+    missed: int
+    stop_requested: bool
+    excuse: str
+    """Why it may be lost; empty: it may not."""
+
+    @property
+    def kept(self) -> bool:
+        """Whether the car was never lost, and came back to its path."""
+        return math.isnan(self.lost_after) and not math.isnan(self.recovery)
+
+    @property
+    def fails(self) -> bool:
+        """Whether this must not be."""
+        return not (self.kept or self.excuse)
+
+    @property
+    def fate(self) -> str:
+        """What became of the car, in a word or two."""
+        if not math.isnan(self.lost_after):
+            return f"lost at {self.lost_after:.1f} s"
+        return "not recovered" if math.isnan(self.recovery) else f"{self.recovery:.1f} s"
+
+
+class Bench:
+    """Car and controller, made anew for each drive."""
+
+    def __init__(self, conditions: Conditions) -> None:
+        """Read both.
+
+        Raises:
+            ValueError: A name is unknown, or a file is missing or wrong.
+        """
+        self.conditions = conditions
+        self.vehicle: Vehicle = load_vehicle(find("vehicles", conditions.vehicle))
+        self.made: Configuration = configuration(
+            Choices(conditions.controller, conditions.vehicle, guard=conditions.guard)
+        )
+
+    def drive(self, scenario: Scenario, faults: tuple[Fault, ...]) -> FaultyDrive:
+        """Give a drive at its start."""
+        return FaultyDrive(
+            Simulation(self.vehicle, scenario),
+            Supervisor(self.made),
+            Injector(Plan(faults, self.conditions.seed)),
+            obey=self.conditions.obey,
+        )
+
+    def log(self, scenario: Scenario, *faults: Fault) -> Log:
+        """Drive to the end."""
+        drive = self.drive(scenario, faults)
+        drive.run(scenario.duration)
+        return drive.log()
+
+    def course(self, scenario: Scenario) -> Course:
+        """Drive without a fault, and find the moment that is worst for one.
+
+        Raises:
+            ValueError: The controller cannot take the path.
+        """
+        free = self.log(scenario)
+        if len(free.ticks) < 2:
+            name = self.conditions.controller
+            raise ValueError(f"--scenarios {scenario.name}: {name} refuses this path")
+        latest = max(scenario.duration - 3.0 - OBSERVED, EARLIEST)
+        allowed = (free.time >= EARLIEST) & (free.time <= latest)
+        worst = int(np.argmax(np.where(allowed, np.abs(np.round(free.swing, 6)), -1.0)))
+        return Course(scenario, round(float(free.time[worst]), 1), free)
+
+    def cell(self, case: Case, course: Course) -> Cell:
+        """Drive with a fault, and judge."""
+        fault = replace(case.fault, start=course.start)
+        log = self.log(course.scenario, fault)
+        return judge(case.name, course, fault, log)
+
+
+def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
+    """Say what became of a car."""
+    since = log.time >= fault.start
+    error, free = np.abs(log.error[since]), np.abs(course.free.error[since])
+    gone = ~(error <= LOST)
+    ticks = [tick for tick in log.ticks if tick.time >= fault.start]
+    told = [tick.decision.supervision for tick in ticks]
+    rungs = Counter(RUNGS[int(each.rung)] for each in told)
+    period = log.ticks[1].time - log.ticks[0].time
+    return Cell(
+        name,
+        course.scenario.name,
+        float(error.max()),
+        float(free.max()),
+        recovery(log, course.free, fault.start + fault.duration),
+        float(log.time[since][np.argmax(gone)]) if gone.any() else math.nan,
+        {rung: round(rungs[rung] * period, 6) for rung in RUNGS},
+        tuple(sorted({REASONS[int(each.reason)] for each in told} - {"none"})),
+        dict(sorted(log.rejected.items())),
+        dict(sorted(log.clips.items())),
+        int(told[-1].resets),
+        log.missed,
+        bool(told[-1].stop_requested),
+        excuse(name, course.scenario.name),
+    )
+
+
+def recovery(log: Log, free: Log, end: float) -> float:
+    """Give the time from the end of a fault until all is well for good; nan: it is not [s]."""
+    moves = log.speed > STANDING
+    bad = moves & ~(np.abs(log.error) <= np.maximum(NEAR, np.abs(free.error) + EXTRA))
+    low = [tick.time for tick in log.ticks if tick.decision.supervision.rung != OPTIMAL]
+    last = max([*log.time[bad].tolist(), *low, end])
+    return math.nan if last > float(log.time[-1]) - SETTLED else after(last, end)
+
+
+def after(last: float, end: float) -> float:
+    """Give the time from the end of a fault to the first good state [s]."""
+    return 0.0 if last <= end else last - end + ODOM_NS / NANOSECONDS

@@ -1,0 +1,264 @@
+"""The benchmark poses one task to all, knows what is right, and says what it measured on."""
+
+import json
+import math
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ampc_ros.mpc.gain_table import Gains
+from ampc_ros.mpc.model import augment, zero_order_hold
+from ampc_ros.mpc.qp import Qp
+from ampc_ros.mpc.small_matrices import make_scratch
+from tests.workshop.bench import bench, bench_growth, bench_qp, bench_reference, bench_report
+from tests.workshop.bench.bench_bars import bars, judged
+from tests.workshop.bench.bench_mpc import augmented_model, casadi_qp, do_mpc_controller, numpy_daqp
+from tests.workshop.bench.bench_ours import (
+    GAINS,
+    VEHICLE,
+    Task,
+    limits,
+    posed,
+    whole_tick,
+)
+from tests.workshop.bench.bench_problems import KINDS, Problem, perturbed, problems, recorded_ticks
+from tests.workshop.bench.bench_reference import WRONG, one_sided
+from tests.workshop.bench.bench_report import Section
+from tests.workshop.bench.bench_shooting import PROXIMAL, multiple_shooting
+from tests.workshop.bench.bench_solvers import verdict
+from tests.workshop.bench.bench_ticks import FIRST, FREE, Maker, move, ours
+from tests.workshop.bench.bench_timing import Entrant, interleaved, statistics
+
+MAKERS: dict[str, tuple[str, Maker, Gains]] = {
+    "ours": ("numba", ours, GAINS),
+    "NumPy": ("numpy", numpy_daqp, GAINS),
+    "condensed": ("casadi", partial(casadi_qp, "daqp", {}), GAINS),
+    "multiple shooting": ("casadi", partial(multiple_shooting, "daqp", PROXIMAL), FIRST),
+    "do-mpc": ("do_mpc", do_mpc_controller, FREE),
+}
+"""Package, and gains of the problem that is solved."""
+EXACT = ("ours", "DAQP", "quadprog")
+PARTS = ("solvers", "growth", "swarm", "scaling")
+
+
+@pytest.fixture(scope="module")
+def task() -> list[Problem]:
+    """A few programmes of every kind."""
+    return problems(6)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a quick run of all parts without ROS."""
+    folder = tmp_path_factory.mktemp("bench")
+    assert bench.main(["--quick", "--output", str(folder), "--only", *PARTS]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sections(written: Path) -> dict[str, Any]:
+    """Tables by key."""
+    content: dict[str, Any] = json.loads((written / "bench.json").read_text(encoding="utf-8"))
+    return dict(content["sections"])
+
+
+def test_exact_solvers_are_never_wrong_in_the_table(sections: dict[str, Any]) -> None:
+    shares = {row["solver"]: row["wrong in all [%]"] for row in sections["qp"]["rows"]}
+    assert {name: shares[name] for name in EXACT if name in shares} == dict.fromkeys(
+        [name for name in EXACT if name in shares], 0.0
+    )
+    ticks = {row["controller"]: row["wrong [%]"] for row in sections["tick"]["rows"]}
+    assert (ticks["ours"], ticks["NumPy + DAQP"]) == (0.0, 0.0)
+
+
+def test_every_part_gives_a_table_in_json_and_markdown(
+    written: Path, sections: dict[str, Any]
+) -> None:
+    keys = {"bars", "qp", "qp_kinds", "tick", "swarm_paper", "swarm_preview", "scaling"}
+    assert set(sections) == keys | {f"growth_{axis.split()[0]}" for axis in bench_growth.AXES}
+    text = (written / "bench.md").read_text(encoding="utf-8")
+    for section in sections.values():
+        assert f"**{section['title']}.**" in text
+        assert len({tuple(row) for row in section["rows"]}) == 1
+    assert (written / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_bar_of_what_was_measured_is_judged(sections: dict[str, Any]) -> None:
+    rows = sections["bars"]["rows"]
+    assert [row["what"] for row in rows if row["bar"] == ">= 60,000"]
+    assert {row["held"] for row in rows} <= {"yes", "no"}
+    correct = next(row for row in rows if row["what"].startswith("QP right"))
+    assert (correct["measured"], correct["held"]) == ("100", "yes")
+    for bar, basis in (("<= 0.7", 3), ("<= 1.5", 2), ("<= 2", 4), (">= 1.6", 1)):
+        assert sum(row["bar"] == bar for row in rows) == basis
+
+
+@pytest.mark.parametrize(
+    ("value", "bar", "held"),
+    [
+        (0.7, "<= 0.7", "yes"),
+        (0.71, "<= 0.7", "no"),
+        (60_000.0, ">= 60,000", "yes"),
+        (59_999.0, ">= 60,000", "no"),
+        (math.nan, "<= 2", "no"),
+    ],
+)
+def test_bar_is_held_up_to_its_number(value: float, bar: str, held: str) -> None:
+    assert judged("", "", value, bar)["held"] == held
+
+
+def test_node_is_judged_where_a_core_is_busy_and_nothing_where_nothing_was_measured() -> None:
+    busy = {
+        "rate [Hz]": "100",
+        "busy cores": "1",
+        "missed ticks": "3",
+        "tick p99 / period [%]": 1.9,
+    }
+    rows = [{**busy, "busy cores": "0", "missed ticks": "0"}, busy]
+    (section,) = bars([Section("node", "", "", rows)])
+    assert [row["held"] for row in section.rows] == ["no", "yes"]
+    assert bars([Section("growth_rows", "", "", rows)]) == []
+
+
+def test_what_was_written_can_be_read_and_put_into_a_readme(written: Path, tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{bench_report.BEGIN}\nold\n{bench_report.END}\nafter\n", "utf-8")
+    given = ["--read", str(written / "bench.json"), "--output", str(tmp_path)]
+    assert bench.main([*given, "--readme", str(readme)]) == 0
+    for kind in ("json", "md"):
+        assert (tmp_path / f"bench.{kind}").read_bytes() == (written / f"bench.{kind}").read_bytes()
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "| >= 60,000 |" in text
+
+
+def test_readme_without_marks_is_an_error(written: Path, tmp_path: Path) -> None:
+    machine, (section, *_) = bench_report.read([written / "bench.json"])
+    readme = tmp_path / "README.md"
+    readme.write_text("nothing", "utf-8")
+    with pytest.raises(ValueError, match="missing"):
+        bench_report.put_into(readme, machine, section)
+    assert readme.read_text("utf-8") == "nothing"
+
+
+def test_report_names_the_machine_but_no_host_and_no_folder(written: Path) -> None:
+    text = "".join(
+        (written / f"bench.{kind}").read_text(encoding="utf-8") for kind in ("json", "md")
+    )
+    machine = json.loads((written / "bench.json").read_text(encoding="utf-8"))["machine"]
+    assert machine["cpu"]
+    assert machine["cores"] >= 1
+    assert {"numba", "daqp"} <= set(machine["packages"])
+    for secret in (os.uname().nodename, str(Path.home()), str(written), str(Path.cwd())):
+        assert secret not in text
+
+
+def test_programmes_of_every_kind_are_what_their_name_says(task: list[Problem]) -> None:
+    assert [p.kind for p in task] == [kind for kind in KINDS for _ in range(6)]
+    assert [math.isnan(p.move) for p in task] == [p.kind == "infeasible" for p in task]
+    rows = {p.kind: len(p.qp.M) for p in task}
+    assert rows["repeated rows"] == 1.5 * rows["recorded"]
+    assert sum(p.active for p in task if p.kind == "perturbed") > 0
+    assert all(p.doubt < WRONG / 10 for p in task)
+
+
+@pytest.mark.parametrize("solver", bench_qp.SOLVERS, ids=lambda solver: solver.name)
+def test_solver_answers_what_is_right_or_nothing(
+    solver: bench_qp.Solver, task: list[Problem]
+) -> None:
+    pytest.importorskip(solver.package)
+    found = verdict(task, [solver.prepare(p.qp)() for p in task])
+    assert found["infeasible undetected [%]"] == 0.0
+    if solver.name in EXACT:
+        assert found["wrong in all [%]"] == 0.0
+
+
+def test_certificate_doubts_a_point_that_is_off(task: list[Problem]) -> None:
+    problem = task[0]
+    x = bench_qp.with_daqp(problem.qp)()
+    assert x is not None
+    off = 0.9 * x
+    doubt, _ = bench_reference.certificate(problem.qp, off, problem.L_0)
+    assert doubt >= abs(problem.L_0 @ (off - x))
+    M, gamma = one_sided(problem.qp)
+    outside = x + 10 * M[0] * gamma[0] / (M[0] @ M[0])
+    assert bench_reference.certificate(problem.qp, outside, problem.L_0)[0] == math.inf
+
+
+def test_reference_that_cannot_be_trusted_is_an_error() -> None:
+    one = np.ones((1, 1))
+    empty = Qp(one, np.zeros(1), one, np.ones(1), -np.ones(1))
+    with pytest.raises(ArithmeticError, match="reference"):
+        bench_reference.exact_move(empty, np.ones(1))
+
+
+@pytest.mark.parametrize("tool", MAKERS)
+def test_controllers_of_other_tools_give_the_exact_first_move(tool: str) -> None:
+    package, make, gains = MAKERS[tool]
+    pytest.importorskip(package)
+    answer = make()
+    recorded, rng = recorded_ticks(), np.random.default_rng(5)
+    ticks = [perturbed(recorded[i], rng) for i in range(0, 640, 128)]
+    given = np.array([answer(tick) for tick in ticks], dtype=float)
+    exact = np.array([move(gains, tick) for tick in ticks])
+    np.testing.assert_allclose(given, exact, atol=1e-5)
+
+
+def test_two_sided_form_is_the_same_polyhedron(task: list[Problem]) -> None:
+    rng = np.random.default_rng(0)
+    for problem in task:
+        M, gamma = one_sided(problem.qp)
+        for x in rng.normal(size=(20, len(problem.qp.K))):
+            y = problem.qp.M @ x
+            inside = bool(((problem.qp.low <= y) & (y <= problem.qp.high)).all())
+            assert inside == bool((M @ x <= gamma).all())
+
+
+def test_recorded_ticks_are_those_of_the_closed_loop() -> None:
+    ticks, answer = recorded_ticks(), whole_tick(GAINS)
+    moves = np.array([answer(tick) for tick in ticks[:-1]], float)
+    commanded = np.diff([tick.u for tick in ticks])
+    same_drive = np.abs(np.diff([tick.x[4] for tick in ticks])) < 2.0
+    np.testing.assert_allclose(moves[same_drive], commanded[same_drive], atol=1e-7)
+
+
+def test_competitors_take_turns_and_every_call_counts_once() -> None:
+    order: list[str] = []
+    entrants = {
+        name: Entrant([lambda name=name: order.append(name)] * 30, rounds)  # type: ignore[misc]
+        for name, rounds in (("a", 2), ("b", 1))
+    }
+    times = interleaved(entrants)
+    assert (times["a"].shape, times["b"].shape) == ((2, 30), (1, 30))
+    warm_up = 2 * (2 + 1)
+    assert len(order) == 30 * 3 + warm_up
+    assert order[:21] + order[21:42] == ["a"] * 21 + ["b"] * 21
+
+
+def test_statistics_tell_the_solver_from_the_machine() -> None:
+    times = np.ones((11, 100))
+    times[5] = 50.0  # one round in which the machine was busy
+    found = statistics(times)
+    assert (found.median, found.p99, found.p99_of_problems) == (1.0, 50.0, 1.0)
+
+
+def test_exponent_of_a_power_is_found() -> None:
+    rows = [{"n": str(n), **dict.fromkeys(bench_growth.SERIES, 3.0 * n**1.5)} for n in (1, 4, 9)]
+    for power in bench_growth.exponents("n", rows).values():
+        assert power == pytest.approx(1.5)
+
+
+def test_model_of_the_users_tools_is_ours() -> None:
+    for v_x in (1.0, 9.0, 27.0):
+        A_k, B_k, A, B = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+        zero_order_hold(VEHICLE, v_x, 0.0, limits().T, A_k, B_k, make_scratch(500))
+        augment(A_k, B_k, A, B)
+        for found, expected in zip(augmented_model(v_x), (A, B), strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert posed(Task(GAINS, math.inf, recorded_ticks()[0])).M.shape == (30, 5)

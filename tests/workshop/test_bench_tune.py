@@ -1,0 +1,32 @@
+"""The tuner's benchmark: what it drives, and what it says about growth. No time is judged."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from launch_scripts.tuning.fleet_rows import run
+from tests.workshop.bench.bench_tune import BASE, SIZES, exponents, generation, main
+
+
+@pytest.mark.parametrize("axis", ["nodes", "particles", "plants", "ticks"])
+def test_a_generation_drives_as_many_ticks_as_its_sizes_say(axis: str) -> None:
+    small = BASE | {"particles": 2, "ticks": 5}
+    for sizes in (small, small | {axis: 2 * small[axis]}):
+        driven = sum(int(e.fleet.ticks.sum()) for e in generation(sizes))
+        expected = sizes["nodes"] * sizes["particles"] * sizes["plants"] * sizes["ticks"]
+        assert driven == expected
+    log = run(generation(small)[0])
+    assert log.shape[:2] == (small["particles"] * small["plants"], small["ticks"])
+
+
+def test_time_that_doubles_with_the_size_grows_with_its_first_power() -> None:
+    times = {axis: [0.1 * n for n in sizes] for axis, sizes in SIZES.items()}
+    assert exponents(times) == pytest.approx(dict.fromkeys(SIZES, 1.0))
+
+
+def test_the_benchmark_leaves_numbers_and_a_picture(tmp_path: Path) -> None:
+    assert main(["--rounds", "1", "--output", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "bench_tune.json").read_text())
+    assert set(found["exponents"]) == set(SIZES)
+    assert (tmp_path / "bench_tune.png").read_bytes().startswith(b"\x89PNG")

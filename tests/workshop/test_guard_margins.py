@@ -1,0 +1,49 @@
+"""Ordinary driving is not clipped by the guard for roads, nothing by that for test tracks."""
+
+import pytest
+
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import GuardLimits
+from ampc_ros.supervision.guard import Guard
+from tests.workshop.acceptance.guard_margins import CARS, DRIVES_AT_THE_LIMIT, Margin, cells, margin
+from tests.workshop.acceptance.trials import Trial, run
+
+ORDINARY = ("sc1", "sc1_falcone", "circle", "sine", "straight", "sc3_fast_wind")
+ON_TRACKS = ("iso3888_1", "iso3888_2", *DRIVES_AT_THE_LIMIT)
+
+
+def held_against(limits: str, scenario: str, car: str) -> Margin:
+    """Drive, and hold the commands against shipped limits."""
+    return margin(run(Trial(scenario, car), "preview"), load(GuardLimits, find("guards", limits)))
+
+
+@pytest.mark.parametrize("car", CARS)
+@pytest.mark.parametrize("scenario", ORDINARY)
+def test_ordinary_driving_stays_inside_the_limits_of_the_road(scenario: str, car: str) -> None:
+    found = held_against("road", scenario, car)
+    assert found.clipped == 0
+    assert max(found.shares) < 0.95
+
+
+@pytest.mark.parametrize("car", CARS)
+@pytest.mark.parametrize("scenario", [*ORDINARY, *ON_TRACKS])
+def test_nothing_that_tyres_can_do_is_clipped_on_a_test_track(scenario: str, car: str) -> None:
+    assert held_against("track", scenario, car).clipped == 0
+
+
+def test_a_manoeuvre_at_the_limit_of_the_tyre_is_clipped_on_the_road_and_told() -> None:
+    trial = Trial("sc3_constant", "ordinary")
+    found = held_against("road", trial.scenario, trial.car)
+    assert found.clipped == found.limits["lateral_acceleration"] > 10
+    assert cells(trial, found)[-1] == f"lateral_acceleration {found.clipped}"
+    assert found.shares[1] == pytest.approx(1.84, abs=0.02)
+
+
+def test_margins_are_those_of_commands_one_by_one() -> None:
+    driven = run(Trial("sc2", "paper"), "preview")
+    limits = load(GuardLimits, find("guards", "road"))
+    guard, clipped = Guard(limits, driven.vehicle.chassis, 0.1), 0
+    for angle, state in zip(driven.drive.steering.tolist(), driven.drive.states, strict=True):
+        clipped += guard.step(angle, 0.0, state.v_x).limit > 0
+        guard.steering = angle
+    assert clipped == margin(driven, limits).clipped
