@@ -71,11 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         changes, begin = changes_of(chosen), time.perf_counter()
         run = read_run(chosen.bag, chosen.namespace)
         reading = time.perf_counter() - begin
-        made = changed(made_of(run, chosen), changes)
+        config = changed(made_of(run, chosen), changes)
         say(run, console)
         if chosen.close_loop:
-            return close_loop(run, made[min(made)], console)
-        decisions, took = repeated(run, made, is_changed=bool(changes))
+            return close_loop(run, config[min(config)], console)
+        decisions, took = repeated(run, config, is_changed=bool(changes))
         code = compare(run, decisions, chosen.tolerance, reading + took, console)
         if changes:
             console.print("open loop: each tick answers the recorded situation and angle in force")
@@ -94,18 +94,20 @@ def changes_of(chosen: argparse.Namespace) -> list[Change]:
 
 def made_of(run: RecordedRun, chosen: argparse.Namespace) -> dict[int, Configuration]:
     """Give what the controller was made of; where the bag is silent, what the options say."""
-    if run.made:
-        return run.made
+    if run.config:
+        return run.config
     run.notes.append("no controller/configuration: taken as the default of --vehicle")
     choices = Choices(vehicle=chosen.vehicle, static_path=True, simulated_time=True)
     return {1: configuration(choices)}
 
 
-def changed(made: dict[int, Configuration], changes: Sequence[Change]) -> dict[int, Configuration]:
+def changed(
+    configs: dict[int, Configuration], changes: Sequence[Change]
+) -> dict[int, Configuration]:
     """Apply changes to every configuration of a run."""
     for change in changes:
-        made = {number: change(each) for number, each in made.items()}
-    return made
+        configs = {number: change(each) for number, each in configs.items()}
+    return configs
 
 
 def say(run: RecordedRun, console: Console) -> None:
@@ -120,13 +122,13 @@ def say(run: RecordedRun, console: Console) -> None:
 
 
 def repeated(
-    run: RecordedRun, made: dict[int, Configuration], *, is_changed: bool
+    run: RecordedRun, config: dict[int, Configuration], *, is_changed: bool
 ) -> tuple[list[Decision], float]:
     """Replay a run; gives what was decided at each tick, and the time that it took [s]."""
-    for each in made.values():
+    for each in config.values():
         rehearse(each)  # what has to be compiled does not count
     begin = time.perf_counter()
-    decisions = list(repeat(run.ticks, made, synchronised=is_changed))
+    decisions = list(repeat(run.ticks, config, synchronised=is_changed))
     return decisions, time.perf_counter() - begin
 
 
@@ -182,15 +184,15 @@ def show(
         console.print(f"  rung = {rung}, reason = {reason}", markup=False)
 
 
-def close_loop(run: RecordedRun, made: Configuration, console: Console) -> int:
+def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int:
     """Drive the simulated car of the bag, and show the result beside the recorded one."""
     if not run.simulator:
         raise ValueError(f"{run.bag}: no simulator/configuration, so there is no car to drive")
     simulation = simulation_of(run.simulator, f"{run.bag}: simulator/configuration")
     start_ns = run.ticks[0].state.stamp_ns
-    closed = drive(simulation, Supervisor(made._replace(static_path=True)), start_ns)
+    closed = drive(simulation, Supervisor(config._replace(static_path=True)), start_ns)
     table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")
-    before, after = (judged(each, run, made) for each in (recorded(run), closed))
+    before, after = (judged(each, run, config) for each in (recorded(run), closed))
     for key, (label, unit) in LABELS.items():
         if key in before and np.isfinite(before[key]) and not key.startswith("solve_time"):
             table.add_row(label, f"{before[key]:.4g}", f"{after[key]:.4g}", unit)
@@ -205,10 +207,10 @@ def recorded(run: RecordedRun) -> Drive:
     return Drive([tick.state for tick in run.ticks], steering, solve_time)
 
 
-def judged(finished: Drive, run: RecordedRun, made: Configuration) -> dict[str, Any]:
+def judged(finished: Drive, run: RecordedRun, config: Configuration) -> dict[str, Any]:
     """Give the numbers of a drive."""
     path = make_path(run.ticks[-1].path.points)
-    return evaluate(finished, path, made.base_link_to_cg, made.settings.sample_time)
+    return evaluate(finished, path, config.base_link_to_cg, config.settings.sample_time)
 
 
 if __name__ == "__main__":

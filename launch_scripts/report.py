@@ -20,8 +20,8 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
+from launch_scripts.reporting.context import ReportInputs
 from launch_scripts.reporting.drive import Judged, judge_bag
-from launch_scripts.reporting.known import Given
 from launch_scripts.reporting.page import Judgement, page
 from launch_scripts.reporting.summary import QUANTITIES, Thresholds, verdicts
 from launch_scripts.reporting.tables import bound, measured, shown
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         vehicle = load_vehicle(find("vehicles", chosen.vehicle)) if chosen.vehicle else None
         names = names_of(chosen.bags)
         drives = [
-            judge_bag(bag, name, chosen.namespace, Given(vehicle))
+            judge_bag(bag, name, chosen.namespace, ReportInputs(vehicle))
             for bag, name in zip(chosen.bags, names, strict=True)
         ]
         judgement = judge(drives, limits, chosen.thresholds)
@@ -110,7 +110,9 @@ def page_file(output: Path | None, first: Path) -> Path:
     return output if output.suffix in (".html", ".htm") else output / "report.html"
 
 
-def write(file: Path, drives: Sequence[Judged], judgement: Judgement | None, made: str) -> None:
+def write(
+    file: Path, drives: Sequence[Judged], judgement: Judgement | None, generated: str
+) -> None:
     """Write the page, and beside it its numbers.
 
     Raises:
@@ -118,7 +120,7 @@ def write(file: Path, drives: Sequence[Judged], judgement: Judgement | None, mad
         ValueError: The page becomes too large.
     """
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    text = page(drives, judgement, f"{made}, {now}")
+    text = page(drives, judgement, f"{generated}, {now}")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text, encoding="utf-8")
     content = json.dumps(

@@ -32,7 +32,7 @@ START_TIME_OUT = 180.0
 """Wall time for the nodes to find each other, which includes compiling after an update [s]."""
 FAULTY = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """What the controller gets from the injector where there are faults."""
-BEREAVEMENT = 1.5
+GRACE_AFTER_NODE_DEATH = 1.5
 """Wall time in which the others show, in real time, what they do without a lost node [s]."""
 DISPENSABLE = {"markers"}
 """Nodes without which a drive goes on."""
@@ -59,10 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         run = prepare(chosen)
         return finish(run, drive(run, console), console)
     except ValueError as error:
-        complain(console, error)
+        print_error(console, error)
         return WRONG_SET_UP
     except Ending as ending:
-        complain(console, ending)
+        print_error(console, ending)
         return ending.code
 
 
@@ -81,7 +81,7 @@ def drive(run: Run, console: Console) -> Ending:
                 start_nodes(nodes, run)
                 follow(nodes, run.scenario, console)
             except Ending as ending:
-                complain(console, ending)
+                print_error(console, ending)
                 if ending.code == 1 and run.options["real_time"]:
                     listen_to_the_others(nodes, console)
                 raise
@@ -155,7 +155,7 @@ def is_over(nodes: Processes) -> bool:
             continue
         if code < 0:
             raise Ending(f"{name} was killed by {signal.Signals(-code).name}", 1)
-        raise Ending(f"{name} ended with exit code {code}: {nodes.last_words(name)}", code or 1)
+        raise Ending(f"{name} ended with exit code {code}: {nodes.last_line(name)}", code or 1)
     return False
 
 
@@ -163,14 +163,14 @@ def listen_to_the_others(nodes: Processes, console: Console) -> None:
     """Let the nodes that are left show what they do without the lost one, and print it."""
     left = [name for name in nodes.running if name not in nodes.ended()]
     known = {name: len(nodes.words(name)) for name in left}
-    console.print(f"{', '.join(left)} go on for {BEREAVEMENT:g} s, and are ended then:")
-    time.sleep(BEREAVEMENT)
+    console.print(f"{', '.join(left)} go on for {GRACE_AFTER_NODE_DEATH:g} s, and are ended then:")
+    time.sleep(GRACE_AFTER_NODE_DEATH)
     for name in left:
         for line in nodes.words(name)[known[name] :]:
             console.print(f"  {name}: {line}", markup=False)
 
 
-def complain(console: Console, error: Exception) -> None:
+def print_error(console: Console, error: Exception) -> None:
     """Print one sentence."""
     console.print(Text.assemble(("error:", "red"), f" {error}"))
 

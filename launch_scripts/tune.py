@@ -30,7 +30,7 @@ from launch_scripts.tuning.task import Job, Task, check, describe, jobs_of
 from launch_scripts.tuning.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
-ELSEWHERE = ("output", "resume", "workers", "processes", "scheduler", "trust_scheduler")
+NOT_PART_OF_RESULT = ("output", "resume", "workers", "processes", "scheduler", "trust_scheduler")
 """Options that do not decide about the outcome."""
 
 
@@ -96,7 +96,7 @@ def command_of(chosen: argparse.Namespace) -> str:
     """Give the command that leads to the same table."""
     words = ["python", "launch_scripts/tune.py"]
     for key, value in vars(chosen).items():
-        if key in ELSEWHERE or value == parser().get_default(key):
+        if key in NOT_PART_OF_RESULT or value == parser().get_default(key):
             continue
         values = value if isinstance(value, list) else [value]
         words += [f"--{key}", *(f"{v:g}" if isinstance(v, float) else str(v) for v in values)]

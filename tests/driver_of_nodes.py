@@ -39,7 +39,7 @@ class Driver(Node):
             add(executor, self.node)
         self.commands: list[JointState] = []
         self.stops: list[bool] = []
-        self.made: list[str] = []
+        self.config: list[str] = []
         self.first_ns = self.now_ns
         self.odom = self.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
@@ -64,7 +64,7 @@ class Driver(Node):
 
     def on_made(self, message: String) -> None:
         """Note a configuration."""
-        self.made.append(message.data)
+        self.config.append(message.data)
 
     def answer(self, client: Any, request: Any) -> Any:
         """Call a service; as a new client where the answer is lost, as the node did not know us."""

@@ -39,7 +39,7 @@ class Bag:
 
     def configuration(self, supervisor: Supervisor) -> None:
         """Write what a controller is made of."""
-        text = to_yaml(supervisor.made, supervisor.number)
+        text = to_yaml(supervisor.config, supervisor.number)
         self.add(f"/controller/{ros.CONFIGURATION}", String(data=text))
 
     def path(self, points: Any, stamp_ns: int) -> None:

@@ -59,7 +59,7 @@ def made_for(car: str = "paper", controller: str = "preview", **choices: object)
 
 def supervised(
     trial: Trial,
-    made: Configuration,
+    config: Configuration,
     blind: Fault = never,
     unsolved: Fault = never,
     supervisor: Supervisor | None = None,
@@ -68,12 +68,12 @@ def supervised(
 
     Args:
         trial: Car and road.
-        made: What the controller is made of.
+        config: What the controller is made of.
         blind: When no state arrives.
         unsolved: When every solution fails.
         supervisor: In place of a new one.
     """
-    steers = supervisor or Supervisor(made)
+    steers = supervisor or Supervisor(config)
     vehicle = believed_vehicle(trial)
     scenario = scenario_of(trial, vehicle)
     simulation, planner = plant(trial, vehicle, scenario), SpeedPlanner(scenario)

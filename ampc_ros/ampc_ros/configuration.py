@@ -131,14 +131,14 @@ def gain_file(choices: Choices) -> Path | None:
     return find("gains", name)
 
 
-def to_yaml(made: Configuration, number: int) -> str:
+def to_yaml(config: Configuration, number: int) -> str:
     """Write a configuration as text that `from_yaml` reads back, number for number.
 
     Args:
-        made: What to write.
+        config: What to write.
         number: Counts the configurations of a run; each tick names the one that it used.
     """
-    items = made._asdict().items()
+    items = config._asdict().items()
     return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
 
 

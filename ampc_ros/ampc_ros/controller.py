@@ -67,23 +67,23 @@ def make_controller(choices: Choices) -> Controller:
     return build_controller(configuration(choices), gain_file(choices))
 
 
-def build_controller(made: Configuration, source: object = "gain table") -> Controller:
+def build_controller(config: Configuration, source: object = "gain table") -> Controller:
     """Make the controller of a configuration.
 
     Args:
-        made: What it is made of.
+        config: What it is made of.
         source: Of its gains, for the message.
 
     Raises:
         ValueError: The gains make its problem numerically singular.
     """
-    chassis, settings, to_cg = made.chassis, made.settings, made.base_link_to_cg
-    if made.controller == "pure_pursuit":
+    chassis, settings, to_cg = config.chassis, config.settings, config.base_link_to_cg
+    if config.controller == "pure_pursuit":
         return PurePursuit(chassis, settings, to_cg)
     try:
-        table = gain_table(made.gains)
-        if made.controller == "preview":
-            return PreviewMpc(chassis, made.steering, settings, table, to_cg)
+        table = gain_table(config.gains)
+        if config.controller == "preview":
+            return PreviewMpc(chassis, config.steering, settings, table, to_cg)
         return LateralMpc(chassis, settings, table, to_cg)
     except (KeyError, ValueError) as error:
         raise ValueError(f"{source}: {error}") from error

@@ -45,7 +45,7 @@ class Outputs:
 
     def configuration(self, supervisor: Supervisor) -> None:
         """Say what the controller is made of."""
-        self.configurations.publish(String(data=to_yaml(supervisor.made, supervisor.number)))
+        self.configurations.publish(String(data=to_yaml(supervisor.config, supervisor.number)))
 
     def decision(
         self, decision: Decision, timing: Sequence[float], account: Sequence[float]

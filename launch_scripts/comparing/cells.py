@@ -106,7 +106,7 @@ class Cell(NamedTuple):
         return bool(self.numbers) and math.isnan(self.lost_after)
 
     @property
-    def fate(self) -> str:
+    def outcome(self) -> str:
         """What became of the drive, in a word or two."""
         if self.kept:
             return "driven"

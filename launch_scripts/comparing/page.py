@@ -69,7 +69,7 @@ def matrix(comparison: Comparison, quantity: Quantity) -> Html:
 
 def _cell(cell: Cell, quantity: Quantity, best: bool) -> Html:
     if not cell.kept:
-        return text(cell.fate)
+        return text(cell.outcome)
     value = cell.numbers[quantity.key]
     shown = Html(f'<data value="{value!r}">{short(value)}</data>')
     return Html(f"<b>{shown}</b>") if best else shown
@@ -81,7 +81,7 @@ def road_section(comparison: Comparison) -> Html:
     for name, cells in comparison.rows():
         drawn = draw_road(cells, look)
         parts.append(f"<h3>{text(name)}</h3>\n")
-        words = "".join(f" {cell.contender}: {cell.fate}." for cell in cells if not cell.kept)
+        words = "".join(f" {cell.contender}: {cell.outcome}." for cell in cells if not cell.kept)
         if drawn is None:
             parts.append(paragraph("Nobody could drive here.", words))
             continue

@@ -50,7 +50,7 @@ class Comparison(NamedTuple):
 
 def number(cell: Cell, quantity: Quantity) -> str:
     """Give the number of a drive that was finished on the road, else what became of it."""
-    return short(cell.numbers[quantity.key]) if cell.kept else cell.fate
+    return short(cell.numbers[quantity.key]) if cell.kept else cell.outcome
 
 
 def short(value: float) -> str:
@@ -74,7 +74,7 @@ def shared(conditions: Conditions) -> str:
 def remarks(comparison: Comparison) -> list[str]:
     """Say who was lost, then who gave up."""
     lost = [
-        f"{cell.scenario}, {cell.contender}: {cell.fate}, largest error "
+        f"{cell.scenario}, {cell.contender}: {cell.outcome}, largest error "
         f"{short(cell.numbers['max_error_m'])} m"
         for cell in comparison.cells
         if cell.numbers and not cell.kept
@@ -85,7 +85,7 @@ def remarks(comparison: Comparison) -> list[str]:
 def reasons(comparison: Comparison) -> list[str]:
     """Say who gave up, and why."""
     return [
-        f"{cell.scenario}, {cell.contender}: {cell.fate}: {cell.reason}"
+        f"{cell.scenario}, {cell.contender}: {cell.outcome}: {cell.reason}"
         for cell in comparison.cells
         if cell.reason
     ]
@@ -160,7 +160,7 @@ def content(comparison: Comparison) -> dict[str, Any]:
 
 def _cell_content(cell: Cell) -> dict[str, Any]:
     numbers = {key: v if math.isfinite(v) else None for key, v in cell.numbers.items()}
-    told = {"scenario": cell.scenario, "controller": cell.contender, "fate": cell.fate}
+    told = {"scenario": cell.scenario, "controller": cell.contender, "fate": cell.outcome}
     return {**told, "reason": cell.reason, **numbers}
 
 

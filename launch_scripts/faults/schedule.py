@@ -120,8 +120,8 @@ class Injector:
 
     def __init__(self, plan: Plan) -> None:
         """Stand empty at the start of a drive."""
-        made = [Active(fault, memory_of(plan, i)) for i, fault in enumerate(plan.faults)]
-        self.later = sorted(made, key=lambda each: each.fault.start, reverse=True)
+        config = [Active(fault, memory_of(plan, i)) for i, fault in enumerate(plan.faults)]
+        self.later = sorted(config, key=lambda each: each.fault.start, reverse=True)
         """Faults to come, the next one last."""
         self.current: list[Active] = []
         self.history: dict[str, deque[Message]] = {}

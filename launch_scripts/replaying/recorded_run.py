@@ -51,7 +51,7 @@ class RecordedRun(NamedTuple):
 
     bag: File
     ticks: list[RecordedTick]
-    made: dict[int, Configuration]
+    config: dict[int, Configuration]
     """By number; empty where the bag does not say what the controller was made of."""
     version: str
     """Of the programme that recorded; empty where the bag does not say."""
@@ -129,8 +129,8 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
         raise ValueError(f"{bag}: holds no command that answers a recorded state")
     if len(ticks) < len(answers):
         notes.append(f"{len(answers) - len(ticks)} ticks answer a state that is not in the bag")
-    made, version = configurations(bag, found.texts[CONTROLLER])
-    return RecordedRun(bag, ticks, made, version, "".join(found.texts[SIMULATOR][-1:]), notes)
+    config, version = configurations(bag, found.texts[CONTROLLER])
+    return RecordedRun(bag, ticks, config, version, "".join(found.texts[SIMULATOR][-1:]), notes)
 
 
 def collected(bag: File, heard: Mapping[str, str]) -> Collected:
@@ -182,6 +182,6 @@ def resolved(answer: Answer, states: Stamped, paths: Stamped) -> RecordedTick | 
 
 def configurations(bag: File, texts: Sequence[str]) -> tuple[dict[int, Configuration], str]:
     """Give what the controller was made of, by number, and the version that recorded it."""
-    made = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts]
+    config = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts]
     version = str(parsed(texts[0], "").get("version", "")) if texts else ""
-    return {number: each for each, number in made}, version
+    return {number: each for each, number in config}, version

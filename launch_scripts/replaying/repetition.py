@@ -32,25 +32,28 @@ class Difference(NamedTuple):
 
 
 def repeat(
-    ticks: Iterable[RecordedTick], made: Mapping[int, Configuration], *, synchronised: bool = False
+    ticks: Iterable[RecordedTick],
+    config: Mapping[int, Configuration],
+    *,
+    synchronised: bool = False,
 ) -> Iterator[Decision]:
     """Give what a supervisor decides at each tick of a run.
 
     Args:
         ticks: Recorded inputs.
-        made: What the controller is made of, by the number that a tick names.
+        config: What the controller is made of, by the number that a tick names.
         synchronised: Each tick begins from the recorded angle in force: what another controller
             would have done then, not what would have come of it.
     """
     supervisor, before = None, 0.0
     for tick in ticks:
-        number = int(tick.values.get("configuration", min(made)))
+        number = int(tick.values.get("configuration", min(config)))
         after, before = before, tick.values.get("commands", math.inf)
         if supervisor is None or before < after:
-            supervisor = Supervisor(made[number], number=number)
+            supervisor = Supervisor(config[number], number=number)
             supervisor.resets = int(tick.values.get("resets", 0))
         elif number != supervisor.number:
-            supervisor.reconfigure(made[number])
+            supervisor.reconfigure(config[number])
         feed(supervisor, tick)
         decision = supervisor.tick(tick.now_ns)
         assert decision is not None  # a state and a path have been fed
@@ -99,12 +102,12 @@ def with_controller(name: str) -> Change:
     """Put another controller in place, with the gains that hold for any car."""
     check_controller(name)
 
-    def change(made: Configuration) -> Configuration:
-        table, settings = DEFAULT_TABLES.get(name), made.settings
+    def change(config: Configuration) -> Configuration:
+        table, settings = DEFAULT_TABLES.get(name), config.settings
         gains = read_gain_table(find("gains", table)) if table else {}
         if name == "classic":
             settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
-        return made._replace(controller=name, gains=gains, settings=settings)
+        return config._replace(controller=name, gains=gains, settings=settings)
 
     return change
 
@@ -112,7 +115,7 @@ def with_controller(name: str) -> Change:
 def with_gains(name: str) -> Change:
     """Put another gain table in place, by shipped name or file."""
     gains = read_gain_table(find("gains", name))
-    return lambda made: made._replace(gains=gains)
+    return lambda config: config._replace(gains=gains)
 
 
 def with_value(text: str) -> Change:
@@ -131,11 +134,11 @@ def with_value(text: str) -> Change:
         raise ValueError(f"--set {text}: must be key=value; keys are {known}")
     value = yaml.safe_load(value_text)
 
-    def change(made: Configuration) -> Configuration:
+    def change(config: Configuration) -> Configuration:
         try:
             if not part:
-                return made._replace(**{name: value})
-            return made._replace(**{part: replace(getattr(made, part), **{name: value})})
+                return config._replace(**{name: value})
+            return config._replace(**{part: replace(getattr(config, part), **{name: value})})
         except ValueError as error:
             raise ValueError(f"--set {text}: {error}") from error
 

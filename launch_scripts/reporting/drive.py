@@ -12,10 +12,10 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import VehicleState
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-from launch_scripts.reporting.known import Given, Known, known_of
-from launch_scripts.reporting.summary import Summary, Told, summarize
+from launch_scripts.reporting.context import ReportInputs, RunContext, run_context_of
+from launch_scripts.reporting.summary import Summary, SupervisionSummary, summarize
 
-NOWHERE = np.empty((0, 2))
+NO_POINTS = np.empty((0, 2))
 WORDS = (-1.0, 1000.0)
 """A quantity that counts words is none beyond these."""
 MISSING = {
@@ -32,7 +32,7 @@ class Judged(NamedTuple):
 
     name: str
     columns: BagColumns
-    known: Known
+    known: RunContext
     time: Array
     """Of the ticks (n,) [s]."""
     states: Array
@@ -48,7 +48,7 @@ class Judged(NamedTuple):
     """What is missing or odd, each in a sentence."""
 
 
-def judge_bag(bag: File, name: str, namespace: str | None, given: Given) -> Judged:
+def judge_bag(bag: File, name: str, namespace: str | None, given: ReportInputs) -> Judged:
     """Read a bag and judge its drive.
 
     Raises:
@@ -57,13 +57,13 @@ def judge_bag(bag: File, name: str, namespace: str | None, given: Given) -> Judg
     return judge_columns(read_columns(bag, namespace), name, given)
 
 
-def judge_columns(columns: BagColumns, name: str, given: Given) -> Judged:
+def judge_columns(columns: BagColumns, name: str, given: ReportInputs) -> Judged:
     """Judge a drive that has been read.
 
     Raises:
         ValueError: The bag holds less than two states.
     """
-    known = known_of(columns, given)
+    known = run_context_of(columns, given)
     notes = [*columns.notes, *known.notes, *missing(columns)]
     rows, steering = ticks_of(columns, notes)
     if len(rows) < 2:
@@ -71,7 +71,7 @@ def judge_columns(columns: BagColumns, name: str, given: Given) -> Judged:
     time = rows[:, 0]
     period = known.settings.sample_time if known.settings else float(np.median(np.diff(time)))
     error = errors_of(columns, states_of(rows, columns.start_ns), time, known.to_cg, notes)
-    told = Told(time, rows[:, 1:], steering, error, period, columns, known)
+    told = SupervisionSummary(time, rows[:, 1:], steering, error, period, columns, known)
     return Judged(
         name, columns, known, time, rows[:, 1:], steering, error, period, summarize(told), notes
     )
@@ -90,7 +90,7 @@ def missing(columns: BagColumns) -> list[str]:
 def ticks_of(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     """Give time and state of each tick (n, 7), and the commanded angle (n,) [rad]."""
     odom = columns.values[ros.ODOM]
-    commands = columns.values.get(ros.STEERING_COMMAND, NOWHERE)
+    commands = columns.values.get(ros.STEERING_COMMAND, NO_POINTS)
     if not len(commands):
         return odom[np.diff(odom[:, 0], prepend=-np.inf) > 0], np.empty(0)
     rows, steering = answered(odom, commands)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS
-from launch_scripts.reporting.drive import NOWHERE, WORDS, Judged
+from launch_scripts.reporting.drive import NO_POINTS, WORDS, Judged
 from launch_scripts.reporting.lines import PALETTE
 from launch_scripts.reporting.panels import Panel, style
 from launch_scripts.reporting.plots import Plot
@@ -55,22 +55,22 @@ def events(drive: Judged, number: int) -> Iterator[Event]:
     """Give all that was not in order in a bag."""
     tick = drive.columns.tick
     for name, (label, words) in COUNTED.items():
-        rows = tick.get(name, NOWHERE)
+        rows = tick.get(name, NO_POINTS)
         for value in np.unique(np.clip(rows[:, 1], *WORDS)).astype(int).tolist():
             if value:
                 word = words[value] if 0 <= value < len(words) else str(value)
                 text = f"{label}: {word.replace('_', ' ')}"
                 yield event(text, number, rows[:, 0], rows[:, 1] == value)
     for name, label in FLAGS.items():
-        yield from flagged(label, number, tick.get(name, NOWHERE))
+        yield from flagged(label, number, tick.get(name, NO_POINTS))
     for name, label in COUNTERS.items():
-        rows = tick.get(name, NOWHERE)
+        rows = tick.get(name, NO_POINTS)
         more = np.column_stack((rows[1:, 0], np.diff(rows[:, 1]) > 0)).astype(float)
         yield from flagged(label, number, more)
     if "stop_requested" not in tick:
-        stops = drive.columns.values.get(ros.STOP_REQUEST, NOWHERE)
+        stops = drive.columns.values.get(ros.STOP_REQUEST, NO_POINTS)
         yield from flagged("stop requested", number, stops)
-    unsolved = tick.get("converged", NOWHERE)
+    unsolved = tick.get("converged", NO_POINTS)
     yield from flagged("programme not solved", number, unsolved, in_order=1.0)
     gaps = np.flatnonzero(np.diff(drive.time) > 1.5 * drive.period)
     if len(gaps):

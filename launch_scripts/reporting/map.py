@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
 from launch_scripts.bags.bag_columns import BagColumns
-from launch_scripts.reporting.drive import NOWHERE, WORDS, Judged
+from launch_scripts.reporting.drive import NO_POINTS, WORDS, Judged
 from launch_scripts.reporting.lines import PALETTE, curve, rounded
 
 MAX_FRAMES = 4000
@@ -139,7 +139,7 @@ def motion(drive: Judged, color: str, first: int, drives: int) -> dict[str, Any]
 
 def rungs(drive: Judged, kept: NDArray[np.int64]) -> list[int]:
     """Give the rung at the ticks kept; none where the bag does not tell."""
-    rows = drive.columns.tick.get("rung", NOWHERE)
+    rows = drive.columns.tick.get("rung", NO_POINTS)
     if not len(rows):
         return []
     at = np.searchsorted(rows[:, 0], drive.time[kept], side="right") - 1

@@ -52,27 +52,29 @@ class Judgement(NamedTuple):
         return all(each.passed for found in self.verdicts for each in found)
 
 
-def page(drives: Sequence[Judged], judgement: Judgement | None, made: str) -> str:
+def page(drives: Sequence[Judged], judgement: Judgement | None, generated: str) -> str:
     """Give the page, as fine as its size allows.
 
     Args:
         drives: One or several bags.
         judgement: Against thresholds, where there are some.
-        made: How and when, in words.
+        generated: How and when, in words.
 
     Raises:
         ValueError: There are so many bags that the page becomes too large.
     """
     points = POINTS
     while points >= FEWEST:
-        text = filled(drives, judgement, made, points)
+        text = filled(drives, judgement, generated, points)
         if len(text.encode()) <= MAX_BYTES:
             return text
         points //= 2
     raise ValueError(f"{len(drives)} bags make a page of more than {MAX_BYTES / 1e6:g} MB")
 
 
-def filled(drives: Sequence[Judged], judgement: Judgement | None, made: str, points: int) -> str:
+def filled(
+    drives: Sequence[Judged], judgement: Judgement | None, generated: str, points: int
+) -> str:
     """Give the page with lines of so many points."""
     drawn, empty = panels(drives, points)
     events = events_panel(drives)
@@ -89,7 +91,7 @@ def filled(drives: Sequence[Judged], judgement: Judgement | None, made: str, poi
         map_alt=escape(map_alt(drives)),
         plots="".join(map(section, drawn)) + absent(drives, empty, events is None),
         provenance=provenance(drives),
-        about=about(points, made),
+        about=about(points, generated),
         data=packed(json.dumps(content(drives, drawn, points), allow_nan=False)),
         plotly=packed(get_plotlyjs()),
     )
@@ -173,7 +175,7 @@ def absent(drives: Sequence[Judged], empty: Sequence[Plot], in_order: bool) -> s
     return items(sentences) if sentences else ""
 
 
-def about(points: int, made: str) -> Html:
+def about(points: int, generated: str) -> Html:
     """Say how to read the page, and how it was made."""
     return Html(
         paragraph(
@@ -185,7 +187,7 @@ def about(points: int, made: str) -> Html:
         + paragraph(
             "Colours are those of Okabe and Ito, which the colour-blind tell apart. The page is "
             "complete in itself: it loads nothing. "
-            f"{made}, AMPC for ROS 2 {__version__}, plotly {plotly.__version__}."
+            f"{generated}, AMPC for ROS 2 {__version__}, plotly {plotly.__version__}."
         )
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path import Array
-from launch_scripts.reporting.drive import NOWHERE, Judged
+from launch_scripts.reporting.drive import NO_POINTS, Judged
 from launch_scripts.reporting.lines import Series
 
 Lines = Callable[[Judged], Iterator[Series]]
@@ -34,7 +34,7 @@ class Plot(NamedTuple):
 
 def topic(drive: Judged, name: str) -> Array:
     """Give the rows of a topic, or none."""
-    return drive.columns.values.get(name, NOWHERE)
+    return drive.columns.values.get(name, NO_POINTS)
 
 
 def cross_track(drive: Judged) -> Iterator[Series]:
@@ -63,7 +63,7 @@ def steering(drive: Judged) -> Iterator[Series]:
     measured = topic(drive, ros.STEERING_STATE)
     if len(measured):
         yield Series("measured", measured[:, 0], np.degrees(measured[:, 1]), 1)
-    planned = drive.columns.tick.get("planned_steering", NOWHERE)
+    planned = drive.columns.tick.get("planned_steering", NO_POINTS)
     published = drive.columns.tick.get("steering", planned)
     if len(planned) and not np.array_equal(planned, published):
         yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 2)
@@ -98,7 +98,7 @@ def quantities(*labels: tuple[str, str], scale: float = 1.0, first: int = 0) -> 
 
     def lines(drive: Judged) -> Iterator[Series]:
         for kind, (name, label) in enumerate(labels, first):
-            rows = drive.columns.tick.get(name, NOWHERE)
+            rows = drive.columns.tick.get(name, NO_POINTS)
             if len(rows):
                 yield Series(label, rows[:, 0], scale * rows[:, 1], kind, step=scale == 1.0)
 

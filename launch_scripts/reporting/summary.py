@@ -20,7 +20,7 @@ from ampc_msgs_config.parameters import Checked, number
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.types import RUNGS, SHIFTED_PLAN
 from launch_scripts.bags.bag_columns import BagColumns
-from launch_scripts.reporting.known import Known
+from launch_scripts.reporting.context import RunContext
 
 Summary = dict[str, float | None]
 """By name of the quantity, SI; None where the bag does not tell."""
@@ -69,7 +69,7 @@ QUANTITIES = {
 }
 
 
-class Told(NamedTuple):
+class SupervisionSummary(NamedTuple):
     """What the numbers are worked out from; see `report_drive.Judged`."""
 
     time: Array
@@ -78,16 +78,16 @@ class Told(NamedTuple):
     errors: Array
     period: float
     columns: BagColumns
-    known: Known
+    known: RunContext
 
 
-def summarize(told: Told) -> Summary:
+def summarize(told: SupervisionSummary) -> Summary:
     """Give the numbers of a drive; None where the bag does not tell."""
     found = dict.fromkeys(QUANTITIES, None) | motion(told) | steering(told) | controller(told)
     return {key: found[key] for key in QUANTITIES}
 
 
-def motion(told: Told) -> Summary:
+def motion(told: SupervisionSummary) -> Summary:
     """Judge how the car moved."""
     time, speed, yaw_rate = told.time, told.states[:, 3], told.states[:, 5]
     result: Summary = {
@@ -108,7 +108,7 @@ def motion(told: Told) -> Summary:
     return result
 
 
-def steering(told: Told) -> Summary:
+def steering(told: SupervisionSummary) -> Summary:
     """Judge how it was steered."""
     angle, time = told.steering, told.time
     if len(angle) < 2:
@@ -126,7 +126,7 @@ def steering(told: Told) -> Summary:
     return result
 
 
-def controller(told: Told) -> Summary:
+def controller(told: SupervisionSummary) -> Summary:
     """Judge what the controller said about itself."""
     tick, result = told.columns.tick, Summary()
 

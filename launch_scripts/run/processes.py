@@ -81,7 +81,7 @@ class Processes:
         """Give the log file of a node."""
         return self.logs / f"{name}.log"
 
-    def last_words(self, name: str) -> str:
+    def last_line(self, name: str) -> str:
         """Give the last line of a node's log, without the time."""
         return (self.words(name) or ["no output"])[-1]
 

@@ -16,8 +16,8 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.report import write
+from launch_scripts.reporting.context import ReportInputs
 from launch_scripts.reporting.drive import judge_columns
-from launch_scripts.reporting.known import Given
 from launch_scripts.run.figure import draw
 from sim_vehicle.parameters import load_vehicle
 
@@ -89,7 +89,9 @@ def judge(run: Run, ended: str) -> Table:
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     (run.folder / "metrics.json").write_text(text, encoding="utf-8")
     draw(log, run.scenario.lanes, chassis.cg_to_rear_axle, run.title, run.folder / "drive.png")
-    drive = judge_columns(columns, run.name, Given(vehicle, settings, run.options["controller"]))
+    drive = judge_columns(
+        columns, run.name, ReportInputs(vehicle, settings, run.options["controller"])
+    )
     write(run.folder / "report.html", [drive], None, f"Made after a run of {run.title}")
     return table(run.title, metrics)
 

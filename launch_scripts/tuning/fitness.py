@@ -27,7 +27,7 @@ from launch_scripts.tuning.drives import (
     step_to,
 )
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Array, Fleet
-from launch_scripts.tuning.fleet_rows import Entry, Expedition, prepare, run
+from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare, run
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle
 
@@ -102,11 +102,11 @@ def gains_of_row(row: Array) -> Gains:
 def drives(node: Node, rows: Array) -> Array:
     """Drive all cars of a node with each set of gains (n, 6): the log (n, cars, ticks, LOGGED)."""
     expedition = prepared(node)
-    log = run(crowd(expedition, rows))
+    log = run(repeat_for_gain_sets(expedition, rows))
     return log.reshape(len(rows), len(expedition.fleet.road), *log.shape[1:])
 
 
-def crowd(expedition: Expedition, rows: Array) -> Expedition:
+def repeat_for_gain_sets(expedition: FleetRun, rows: Array) -> FleetRun:
     """Give the cars of an expedition once for each set of gains (n, 6)."""
     fleet, n = expedition.fleet, len(rows)
     many = {name: np.concatenate([getattr(fleet, name)] * n) for name in Fleet._fields[:-2]}
@@ -144,7 +144,7 @@ def combined(cost: Array) -> Array:
 
 
 @lru_cache(maxsize=1024)
-def prepared(node: Node) -> Expedition:
+def prepared(node: Node) -> FleetRun:
     """Lay out the cars and roads of a node; they stay as they are."""
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)

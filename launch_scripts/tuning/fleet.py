@@ -88,7 +88,7 @@ class Fleet(NamedTuple):
     """(b,) axis of the gains [m]."""
 
 
-class Clockwork(NamedTuple):
+class FleetTiming(NamedTuple):
     """Time, and memory for one thread."""
 
     period_ns: int
@@ -150,7 +150,7 @@ def note(log: Array, state: VehicleState, answer: Answer) -> None:
 
 
 @in_place
-def move(roads: Roads, fleet: Fleet, c: int, tick: int, log: Array, clock: Clockwork) -> None:
+def move(roads: Roads, fleet: Fleet, c: int, tick: int, log: Array, clock: FleetTiming) -> None:
     """Let car c drive on for a period, under its driver and the command in its log."""
     k, steps = fleet.road[c], clock.period_ns // clock.step_ns
     friction, misalignment = fleet.conditions[c, 0], fleet.conditions[c, 1]
@@ -183,7 +183,7 @@ def drives(fleet: Fleet, c: int, tick: int, log: Array) -> bool:
 
 
 @in_place
-def drive_preview(roads: Roads, fleet: Fleet, log: Array, clock: Clockwork) -> None:
+def drive_preview(roads: Roads, fleet: Fleet, log: Array, clock: FleetTiming) -> None:
     """Drive a fleet of `preview` controllers to its end.
 
     Args:
@@ -215,7 +215,7 @@ def drive_preview(roads: Roads, fleet: Fleet, log: Array, clock: Clockwork) -> N
 
 
 @in_place
-def drive_paper(roads: Roads, fleet: Fleet, log: Array, clock: Clockwork) -> None:
+def drive_paper(roads: Roads, fleet: Fleet, log: Array, clock: FleetTiming) -> None:
     """Drive a fleet of `paper` or `classic` controllers to its end; see `drive_preview`."""
     for tick in range(log.shape[1]):
         for c in range(len(log)):

@@ -25,8 +25,8 @@ from launch_scripts.tuning.fleet import (
     STATE,
     STEERING,
     Array,
-    Clockwork,
     Fleet,
+    FleetTiming,
     Integers,
     Roads,
     drive_paper,
@@ -48,7 +48,7 @@ class Entry(NamedTuple):
     """Angle at which the wheels stand when straight ahead is commanded [rad]."""
 
 
-class Expedition(NamedTuple):
+class FleetRun(NamedTuple):
     """A fleet with its roads: all that a drive needs."""
 
     roads: Roads
@@ -75,7 +75,7 @@ def drive_all(entries: Sequence[Entry], threads: int = 1, lost: float = math.inf
     return [drive_of(log, expedition.period_ns) for log in run(expedition, threads)]
 
 
-def prepare(entries: Sequence[Entry], lost: float = math.inf) -> Expedition:
+def prepare(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
     """Lay cars, controllers and roads out in matrices; see `drive_all`."""
     first = entries[0]
     preview, period = isinstance(first.controller, PreviewMpc), first.controller.period
@@ -94,7 +94,7 @@ def prepare(entries: Sequence[Entry], lost: float = math.inf) -> Expedition:
     road: Integers = np.array([places[id(entry.simulation.scenario)] for entry in entries])
     fleet = line_up(entries, road, period_ns, lost)
     size = max(len(entry.controller.scratch.numbers) for entry in entries)
-    return Expedition(roads, fleet, period_ns, step_ns, size, preview)
+    return FleetRun(roads, fleet, period_ns, step_ns, size, preview)
 
 
 def ticks_of(scenario: Scenario, period_ns: int) -> int:
@@ -180,7 +180,7 @@ def padded(rows: Sequence[Array]) -> Array:
     return matrix
 
 
-def run(expedition: Expedition, threads: int = 1) -> Array:
+def run(expedition: FleetRun, threads: int = 1) -> Array:
     """Drive a fleet; its own matrices stay as they are.
 
     Returns:
@@ -196,11 +196,11 @@ def run(expedition: Expedition, threads: int = 1) -> Array:
     return log
 
 
-def run_part(expedition: Expedition, rows: slice, log: Array) -> None:
+def run_part(expedition: FleetRun, rows: slice, log: Array) -> None:
     """Drive some rows of a fleet, on copies of what changes."""
     fleet = expedition.fleet
     own = {name: getattr(fleet, name)[rows].copy() for name in Fleet._fields[:-2]}
-    clock = Clockwork(
+    clock = FleetTiming(
         expedition.period_ns,
         expedition.step_ns,
         make_scratch(expedition.scratch_size),

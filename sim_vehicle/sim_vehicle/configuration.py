@@ -47,14 +47,14 @@ class Configuration(NamedTuple):
         )
 
 
-def to_yaml(made: Configuration) -> str:
+def to_yaml(config: Configuration) -> str:
     """Write a configuration as text that `from_yaml` reads back."""
     return document(
         {
-            **made._asdict(),
-            "vehicle": {key: asdict(part) for key, part in made.vehicle._asdict().items()},
-            "scenario": mapping_of(made.scenario),
-            "noise": asdict(made.noise) if made.noise else None,
+            **config._asdict(),
+            "vehicle": {key: asdict(part) for key, part in config.vehicle._asdict().items()},
+            "scenario": mapping_of(config.scenario),
+            "noise": asdict(config.noise) if config.noise else None,
         }
     )
 
@@ -94,9 +94,9 @@ def simulation_of(text: str, where: str) -> Simulation:
     Raises:
         ValueError: Names place, key, value and bound.
     """
-    made = from_yaml(text, where)
+    config = from_yaml(text, where)
     try:
-        return made.simulation()
+        return config.simulation()
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
 

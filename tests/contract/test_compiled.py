@@ -114,7 +114,7 @@ def test_a_link_in_place_of_the_temporary_folder_is_not_followed(temporary: Path
     assert private_temporary_folder().name != f"ampc_ros-{os.getuid()}"
 
 
-def made(base: Path, name: str, age: float) -> Path:
+def config(base: Path, name: str, age: float) -> Path:
     """Make the compiled code of a version that was used some time ago [s]."""
     folder = base / name
     folder.mkdir()
@@ -124,21 +124,21 @@ def made(base: Path, name: str, age: float) -> Path:
 
 
 def test_a_new_version_removes_old_ones_but_the_newest_and_those_in_use(tmp_path: Path) -> None:
-    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
-    in_use = [made(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(KEPT)]
+    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    in_use = [config(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(KEPT)]
     new = use(tmp_path, "new")
     assert set(tmp_path.iterdir()) == {new, *in_use}
     assert not any(folder.exists() for folder in old)
 
 
 def test_the_newest_old_versions_stay(tmp_path: Path) -> None:
-    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
     new = use(tmp_path, "new")
     assert set(tmp_path.iterdir()) == {new, *old[: KEPT - 1]}
 
 
 def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: Path) -> None:
-    old = [made(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
+    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
     use(tmp_path, "old4")
     assert set(tmp_path.iterdir()) == set(old)
     assert time.time() - old[4].stat().st_mtime < 60.0

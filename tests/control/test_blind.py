@@ -93,8 +93,8 @@ def test_a_heading_that_jumps_is_refused_where_the_position_returns() -> None:
 
 def supervised() -> Supervisor:
     """Give a controller that may turn the wheel as fast as it likes, on a winding road."""
-    made = configuration(Choices(guard="track"))
-    supervisor = Supervisor(made)
+    config = configuration(Choices(guard="track"))
+    supervisor = Supervisor(config)
     supervisor.take_path(WAVES, START_NS, START_NS)
     return supervisor
 

@@ -34,9 +34,9 @@ def test_every_shipped_combination_goes_through_yaml_number_for_number(
         tables = ["table3", "paper_pso"] if name in DEFAULT_TABLES else [""]
     rest = product(sorted(shipped("controllers")), sorted(shipped("guards")), ["", *tables])
     for number, (limits, guard, table) in enumerate(rest):
-        made = configuration(Choices(name, vehicle, limits, table, guard, None, True, False))
-        again, counted = from_yaml(to_yaml(made, number), WHERE)
-        assert again == made
+        config = configuration(Choices(name, vehicle, limits, table, guard, None, True, False))
+        again, counted = from_yaml(to_yaml(config, number), WHERE)
+        assert again == config
         assert counted == number
 
 
@@ -48,8 +48,8 @@ def test_yaml_tells_the_version_first() -> None:
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_controller_of_what_was_read_back_can_be_built(name: str) -> None:
-    made, _ = from_yaml(to_yaml(configuration(Choices(name)), 1), WHERE)
-    assert build_controller(made).period == made.settings.sample_time
+    config, _ = from_yaml(to_yaml(configuration(Choices(name)), 1), WHERE)
+    assert build_controller(config).period == config.settings.sample_time
 
 
 WRONG: list[tuple[tuple[str, ...], Any, str]] = [

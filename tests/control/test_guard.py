@@ -47,7 +47,7 @@ LIMITS_BY_SPEED = GuardLimits(
     lateral_jerk=(40.0, 30.0, 20.0),
     measured_step=(0.4, 0.3, 0.2),
 )
-NOWHERE = {
+NO_POINTS = {
     "speed": [0.0],
     "max_angle": [1.5],
     "max_rate": [20.0],
@@ -62,7 +62,7 @@ UP = math.inf
 
 def guard(chassis: ChassisParameters = CHASSIS, **changes: Any) -> Guard:
     """Make a guard in which only the changed limits are met."""
-    return Guard(build(GuardLimits, {**NOWHERE, **changes}, "limits"), chassis, PERIOD)
+    return Guard(build(GuardLimits, {**NO_POINTS, **changes}, "limits"), chassis, PERIOD)
 
 
 def per_acceleration(v: float, chassis: ChassisParameters = CHASSIS) -> float:

@@ -123,7 +123,7 @@ def test_place_on_the_path_warns_where_it_is_out_of_order(mode: int) -> None:
 
 def test_speed_outside_the_gain_table_is_told_by_how_far() -> None:
     supervisor, decision = good()
-    axis = supervisor.made.gains["speed"]
+    axis = supervisor.config.gains["speed"]
     for v_x, off in ((axis[-1] + 2.0, 2.0), (axis[0] - 0.5, 0.5)):
         state = VehicleState(NOW, 50.0, 0.0, 0.0, v_x, 0.0, 0.0)
         supervisor.state = Received(state, NOW, NOW)

@@ -261,8 +261,8 @@ def test_every_controller_is_stopped_where_it_cannot_steer(name: str) -> None:
         (AGAINST_PATH, at(NANOSECONDS, yaw=3.0)),
         (OFF_PATH, at(NANOSECONDS, y=LOST + 1.0)),
     ):
-        made = made_for("paper", name)
-        ladder = Ladder(made, build_controller(made))
+        config = made_for("paper", name)
+        ladder = Ladder(config, build_controller(config))
         answer = ladder.answer(state, ROAD, 0.1, NANOSECONDS)
         assert (answer.rung, answer.reason, answer.stepped) == (STOP, reason, True)
         assert answer.steering == pytest.approx(0.1 - STOP_RATE * 0.1)
@@ -272,8 +272,8 @@ def test_every_controller_is_stopped_where_it_cannot_steer(name: str) -> None:
 def test_angle_that_is_no_number_is_not_used_and_the_next_good_state_is_answered_as_ever(
     name: str,
 ) -> None:
-    made = made_for("paper", name)
-    ladder, fresh = (Ladder(made, build_controller(made)) for _ in range(2))
+    config = made_for("paper", name)
+    ladder, fresh = (Ladder(config, build_controller(config)) for _ in range(2))
     ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
     in_force = ladder.controller.steering
     answer = ladder.answer(at(ns(0.1), y=math.nan), ROAD, in_force, ns(0.1))
@@ -295,7 +295,7 @@ def test_angle_that_is_no_number_is_not_used_and_the_next_good_state_is_answered
 def test_what_is_no_number_is_neither_used_nor_told(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ladder = Ladder(made := made_for(), build_controller(made))
+    ladder = Ladder(config := made_for(), build_controller(config))
     ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
     good = ladder.controller.step(at(ns(0.1), y=0.3), ROAD)
     bad = {
@@ -312,8 +312,8 @@ def test_what_is_no_number_is_neither_used_nor_told(
 
 
 def test_soft_lane_that_is_left_is_told_as_slack() -> None:
-    made = made_for()
-    narrow = made._replace(settings=replace(made.settings, max_output_error=0.2))
+    config = made_for()
+    narrow = config._replace(settings=replace(config.settings, max_output_error=0.2))
     run = supervised(Trial("straight", speed=9.0, offset=1.5), narrow)
     assert run.rungs[0] == SLACK
     assert run.told[0].reason == SLACK_IN_USE
@@ -350,8 +350,8 @@ def test_shifted_plan_is_nearly_what_the_solver_would_have_said_in_a_lane_change
 def test_failing_solver_goes_by_plan_then_by_feed_forward_at_each_rate(
     rate: int, failed: float
 ) -> None:
-    trial, made = Trial("sc1", speed=9.0), made_for("paper", "preview", **HZ[rate])
-    run = supervised(trial, made, unsolved=between(4.0, 4.0 + failed))
+    trial, config = Trial("sc1", speed=9.0), made_for("paper", "preview", **HZ[rate])
+    run = supervised(trial, config, unsolved=between(4.0, 4.0 + failed))
     assert run.rungs.count(SHIFTED_PLAN) == round(PLAN_TIME * rate)
     assert run.rungs.count(FEED_FORWARD) == round((failed - PLAN_TIME) * rate)
     assert added(trial, run, "preview", **HZ[rate]) < 0.05
@@ -359,8 +359,8 @@ def test_failing_solver_goes_by_plan_then_by_feed_forward_at_each_rate(
 
 @every_rate
 def test_lost_state_goes_by_plan_then_to_the_stop_at_each_rate(rate: int) -> None:
-    trial, made = Trial("sc1", speed=9.0), made_for("paper", "preview", **HZ[rate])
-    run = supervised(trial, made, blind=between(4.0, 5.0))
+    trial, config = Trial("sc1", speed=9.0), made_for("paper", "preview", **HZ[rate])
+    run = supervised(trial, config, blind=between(4.0, 5.0))
     last = 4.0 - 1.0 / rate
     late = [t for t, told in zip(run.times, run.told, strict=True) if told.reason == STATE_LATE]
     lost = [t for t, told in zip(run.times, run.told, strict=True) if told.reason == STATE_LOST]

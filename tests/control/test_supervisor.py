@@ -49,9 +49,9 @@ def state(t: float, y: float = 0.0, v_x: float = 9.0, yaw: float = 0.0) -> Vehic
     return VehicleState(START + ns(t), 20.0 + v_x * t, y, yaw, v_x, 0.0, 0.0)
 
 
-def standing(made: Configuration | None = None, points: Array = ROAD) -> Supervisor:
+def standing(config: Configuration | None = None, points: Array = ROAD) -> Supervisor:
     """Give a supervisor that has a path and no state."""
-    supervisor = Supervisor(made or made_for())
+    supervisor = Supervisor(config or made_for())
     supervisor.take_path(points, START, START)
     return supervisor
 
@@ -155,9 +155,9 @@ def test_static_path_never_grows_old(by: str) -> None:
 
 
 def test_thresholds_are_those_of_the_settings() -> None:
-    made = made_for()
-    slower = replace(made.settings, state_late=0.3, state_lost=0.4)
-    supervisor = standing(made._replace(settings=slower))
+    config = made_for()
+    slower = replace(config.settings, state_late=0.3, state_lost=0.4)
+    supervisor = standing(config._replace(settings=slower))
     answer(supervisor, state(0.0))
     rungs = [tick(supervisor, t).supervision.rung for t in (0.3, 0.31, 0.4, 0.41)]
     assert rungs == [OPTIMAL, SHIFTED_PLAN, SHIFTED_PLAN, STOP]
@@ -189,13 +189,13 @@ FAULTS = [("unsolved", 0.1), ("unsolved", 0.3), ("unsolved", 0.5), ("unsolved", 
 @pytest.mark.parametrize("car", ["paper", "ordinary"])
 @pytest.mark.parametrize(("kind", "time"), FAULTS)
 def test_way_down_and_up_the_ladder_is_bumpless(car: str, kind: str, time: float) -> None:
-    trial, made = Trial("sc1", car, 9.0), made_for(car, guard="road")
-    fine = supervised(trial, made)
+    trial, config = Trial("sc1", car, 9.0), made_for(car, guard="road")
+    fine = supervised(trial, config)
     ordinary = np.abs(np.diff(fine.driven.drive.steering)).max()
-    limit = bounds(made.guard, made.chassis, 9.0)
+    limit = bounds(config.guard, config.chassis, 9.0)
     for begin in (3.0, 4.0, 5.0, 6.0, 9.5, 10.5, 11.5):
         fault = between(begin, begin + time)
-        run = supervised(trial, made, **{kind: fault})  # type: ignore[arg-type]
+        run = supervised(trial, config, **{kind: fault})  # type: ignore[arg-type]
         steps = np.abs(np.diff(run.driven.drive.steering))
         assert steps.max() <= 0.1 * min(limit.rate, limit.jerk) + 1e-9
         if kind == "unsolved":
@@ -204,9 +204,9 @@ def test_way_down_and_up_the_ladder_is_bumpless(car: str, kind: str, time: float
 
 @every_controller
 def test_controller_goes_on_from_the_angle_that_the_guard_let_through(name: str) -> None:
-    made = made_for("paper", name)
-    tight = replace(made.guard, max_angle=(0.02, 0.02))
-    supervisor = standing(made._replace(guard=tight))
+    config = made_for("paper", name)
+    tight = replace(config.guard, max_angle=(0.02, 0.02))
+    supervisor = standing(config._replace(guard=tight))
     for k in range(60):
         told = answer(supervisor, state(0.1 * k, y=1.0)).supervision
         assert supervisor.ladder.controller.steering == told.steering == supervisor.steering
@@ -218,9 +218,9 @@ def test_controller_goes_on_from_the_angle_that_the_guard_let_through(name: str)
 
 
 def test_measured_angle_is_used_once() -> None:
-    made = made_for()
-    near = replace(made.guard, measured_step=(0.01, 0.01))
-    supervisor = standing(made._replace(guard=near))
+    config = made_for()
+    near = replace(config.guard, measured_step=(0.01, 0.01))
+    supervisor = standing(config._replace(guard=near))
     answer(supervisor, state(0.0))
     supervisor.take_steering(-0.1)
     first = answer(supervisor, state(0.1, y=-0.3)).supervision
@@ -260,13 +260,13 @@ def test_reconfiguration_keeps_angle_inputs_and_counts_and_counts_on() -> None:
 def test_wrong_reconfiguration_changes_nothing() -> None:
     supervisor = standing(points=np.column_stack((50 * np.sin(np.arange(0, 6, 0.05)),
                                                   50 * np.cos(np.arange(0, 6, 0.05)))))  # fmt: skip
-    before = supervisor.made, supervisor.guard, supervisor.ladder
+    before = supervisor.config, supervisor.guard, supervisor.ladder
     with pytest.raises(ValueError, match="against its chord"):
         supervisor.reconfigure(made_for("paper", "paper"))
     wrong = made_for()._replace(gains={"speed": [9.0]})
     with pytest.raises(ValueError, match="my table: "):
         supervisor.reconfigure(wrong, "my table")
-    assert (supervisor.made, supervisor.guard, supervisor.ladder) == before
+    assert (supervisor.config, supervisor.guard, supervisor.ladder) == before
     assert supervisor.number == 1
 
 
@@ -336,11 +336,11 @@ PLAIN = [(c, s) for c in ("preview", "paper", "classic", "pure_pursuit") for s i
 def test_undisturbed_drive_is_that_of_the_bare_controller_bit_for_bit(
     name: str, scenario: str
 ) -> None:
-    trial, made = Trial(scenario), made_for("paper", name)
+    trial, config = Trial(scenario), made_for("paper", name)
     vehicle = believed_vehicle(trial)
     road = scenario_of(trial, vehicle)
-    bare = drive(plant(trial, vehicle, road), build_controller(made))
-    supervisor = Supervisor(made)
+    bare = drive(plant(trial, vehicle, road), build_controller(config))
+    supervisor = Supervisor(config)
     supervised_too = drive(plant(trial, vehicle, road), supervisor)
     assert supervised_too.states == bare.states
     assert np.array_equal(supervised_too.steering, bare.steering)
@@ -385,7 +385,7 @@ def reused(name: str, number: int) -> Supervisor:
 def test_recorded_inputs_give_the_same_bits_again(name: str, ticks: list[Input]) -> None:
     live, again = (begin_anew(reused(name, number)) for number in (1, 2))
     points, now_ns = ROAD, START
-    limit = live.made.guard.max_angle[0]
+    limit = live.config.guard.max_angle[0]
     for k, each in enumerate(ticks):
         now_ns += ns(each.pause)
         if each.event == "back":

@@ -38,19 +38,19 @@ def test_time_that_goes_back_or_starts_anew_leaves_no_tick_out() -> None:
 
 def test_a_tick_is_missed_only_where_the_next_one_finds_nothing_either() -> None:
     ticks = Ticks(0.01)
-    assert not ticks.owe()
+    assert not ticks.defer_to_next_state()
     assert ticks.missed == 0
-    assert ticks.owe()
-    assert ticks.owe()
+    assert ticks.defer_to_next_state()
+    assert ticks.defer_to_next_state()
     assert ticks.missed == 2
-    ticks.owed = False
-    assert not ticks.owe()
+    ticks.is_deferred = False
+    assert not ticks.defer_to_next_state()
     assert ticks.missed == 2
 
 
 def test_a_new_start_owes_nothing() -> None:
     ticks = Ticks(0.01)
-    ticks.owe()
+    ticks.defer_to_next_state()
     ticks.restart()
-    assert not ticks.owe()
+    assert not ticks.defer_to_next_state()
     assert ticks.missed == 0

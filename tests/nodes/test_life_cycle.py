@@ -88,8 +88,8 @@ def test_after_a_clean_up_another_configuration_goes_on_from_the_angle_in_force(
     assert active.change(Transition.TRANSITION_ACTIVATE)
     assert active.node.supervisor.steering == angle
     active.drive_for(2)
-    made, number = from_yaml(active.made[-1], "controller/configuration")
-    assert (made.settings.sample_time, number) == (0.05, 2)
+    config, number = from_yaml(active.config[-1], "controller/configuration")
+    assert (config.settings.sample_time, number) == (0.05, 2)
 
 
 def test_a_broken_file_leaves_the_node_unconfigured_and_a_mended_one_configures_it(

@@ -94,7 +94,7 @@ def test_outside_of_what_was_tuned_the_report_says_how_far(
     controller: tuple[Reported, ControllerNode],
 ) -> None:
     world, node = controller
-    highest = node.supervisor.made.gains["speed"][-1]
+    highest = node.supervisor.config.gains["speed"][-1]
     node.on_path(path())
     level, said = world.at(0.1, node, v_x=highest + 2.5)
     assert level == WARN

@@ -37,9 +37,9 @@ CAREFUL = "max_angle: 0.4\nmax_increment: 0.2\nslack_weight: 1.0e+3\n"
 class Changing:
     """A supervisor that is made anew in the middle of a drive."""
 
-    def __init__(self, made: Configuration, other: Configuration, tick: int) -> None:
+    def __init__(self, config: Configuration, other: Configuration, tick: int) -> None:
         """Change at a tick."""
-        self.supervisor, self.other, self.tick = Supervisor(made), other, tick
+        self.supervisor, self.other, self.tick = Supervisor(config), other, tick
         self.ticks = 0
 
     @property
@@ -65,10 +65,10 @@ def test_a_change_in_a_bend_steps_no_farther_than_an_ordinary_tick(
     vehicle = load_vehicle(find("vehicles", "paper"))
     drive_of = load_scenario(scenario, vehicle.size)
     choices = Choices(static_path=True, simulated_time=True)
-    made, other = configuration(choices), configuration(choices._replace(**CHANGES[change]))
-    ordinary = drive(Simulation(vehicle, drive_of), Supervisor(made)).steering
+    config, other = configuration(choices), configuration(choices._replace(**CHANGES[change]))
+    ordinary = drive(Simulation(vehicle, drive_of), Supervisor(config)).steering
     for tick in np.argsort(-np.abs(ordinary))[:40:10]:
-        changing = Changing(made, other, int(tick) + 1)
+        changing = Changing(config, other, int(tick) + 1)
         steering = drive(Simulation(vehicle, drive_of), changing).steering
         assert steering[:tick].tolist() == ordinary[:tick].tolist()
         assert changing.supervisor.number == 2
@@ -130,9 +130,9 @@ def test_a_change_over_ros_is_told_once_and_steps_no_farther_than_an_ordinary_ti
     assert set_together(driver, CHANGES["all"]).successful
     after = driver.drive_for(6)
     assert largest_step([before, *after]) <= max(largest_step(ordinary), 0.005)
-    made, number = from_yaml(driver.made[-1], "controller/configuration")
-    assert (number, len(driver.made)) == (2, 2)
-    assert made == configuration(Choices(**CHANGES["all"], static_path=True))
+    config, number = from_yaml(driver.config[-1], "controller/configuration")
+    assert (number, len(driver.config)) == (2, 2)
+    assert config == configuration(Choices(**CHANGES["all"], static_path=True))
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
@@ -149,15 +149,15 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 def test_a_set_with_one_wrong_value_changes_nothing(case: str, driver: Driver) -> None:
     changes, sentence = WRONG[case]
     before = {name: driver.node.get_parameter(name).value for name in changes}
-    made = driver.node.supervisor.made
+    config = driver.node.supervisor.config
     result = set_together(driver, changes)
     assert not result.successful
     assert sentence in result.reason
     assert {name: driver.node.get_parameter(name).value for name in changes} == before
-    assert driver.node.supervisor.made is made
+    assert driver.node.supervisor.config is config
     assert not driver.node.supervisor.ladder.qp_fault
     driver.drive_for(2)
-    assert len(driver.made) == 1
+    assert len(driver.config) == 1
 
 
 def test_parameters_set_one_by_one_are_judged_one_by_one(driver: Driver) -> None:
@@ -170,7 +170,7 @@ def test_parameters_set_one_by_one_are_judged_one_by_one(driver: Driver) -> None
 
 
 def test_reload_reads_the_files_anew_and_refuses_broken_ones(driver: Driver) -> None:
-    made = driver.node.supervisor.made
+    config = driver.node.supervisor.config
     for file in (Path("gains.yaml"), Path("guards.yaml")):
         text = file.read_text(encoding="utf-8")
         file.write_text(text + "nonsense: 1\n", encoding="utf-8")
@@ -178,12 +178,12 @@ def test_reload_reads_the_files_anew_and_refuses_broken_ones(driver: Driver) -> 
         assert not answer.success
         assert file.name in answer.message
         assert "nonsense" in answer.message
-        assert driver.node.supervisor.made is made
+        assert driver.node.supervisor.config is config
         file.write_text(text, encoding="utf-8")
     Path("guards.yaml").write_text(shipped("guards")["track"].read_text("utf-8"), "utf-8")
     answer = trigger(driver, "reload")
     assert (answer.success, answer.message) == (True, "configuration 2")
-    assert driver.node.supervisor.made.guard == configuration(Choices(guard="track")).guard
+    assert driver.node.supervisor.config.guard == configuration(Choices(guard="track")).guard
     driver.drive_for(2)
 
 

@@ -41,11 +41,11 @@ def same_bits(a: Scenario, b: Scenario) -> bool:
 def test_every_shipped_drive_comes_back_from_its_text_bit_for_bit(
     scenario: str, vehicle: str
 ) -> None:
-    made = made_of(scenario, vehicle, friction=0.7, noise=NOISE, seed=7, lock_step=False)
-    again = from_yaml(to_yaml(made), WHERE)
-    assert same_bits(again.scenario, made.scenario)
-    assert again._replace(scenario=made.scenario) == made
-    assert to_yaml(again) == to_yaml(made)
+    config = made_of(scenario, vehicle, friction=0.7, noise=NOISE, seed=7, lock_step=False)
+    again = from_yaml(to_yaml(config), WHERE)
+    assert same_bits(again.scenario, config.scenario)
+    assert again._replace(scenario=config.scenario) == config
+    assert to_yaml(again) == to_yaml(config)
 
 
 def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> None:
@@ -55,23 +55,23 @@ def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> No
     file.write_text("x_m,y_m\n" + rows, encoding="utf-8")
     car = load_vehicle(find("vehicles", "paper"))
     route = Route(path=str(file), lateral_acceleration=3.0, laps=2)
-    made = Configuration(car, choose_scenario(route, car.size))
-    text = to_yaml(made)
+    config = Configuration(car, choose_scenario(route, car.size))
+    text = to_yaml(config)
     file.unlink()
     again = from_yaml(text, WHERE)
     assert again.scenario.speed.period < np.inf
-    assert same_bits(again.scenario, made.scenario)
+    assert same_bits(again.scenario, config.scenario)
 
 
 @pytest.mark.parametrize("noise", [None, NOISE])
 def test_a_drive_with_the_car_read_back_gives_the_same_bits(
     noise: MeasurementNoise | None,
 ) -> None:
-    made = made_of("sc3_wind", friction=0.6, noise=noise, seed=3)
-    given = made.vehicle, made.scenario
+    config = made_of("sc3_wind", friction=0.6, noise=noise, seed=3)
+    given = config.vehicle, config.scenario
     rng = np.random.default_rng(3)
     before = Simulation(*given, friction=0.6, noise=noise, rng=rng)
-    after = simulation_of(to_yaml(made), WHERE)
+    after = simulation_of(to_yaml(config), WHERE)
     drives = [drive(car, make_controller(Choices())) for car in (before, after)]
     assert drives[0].states == drives[1].states
     assert drives[0].steering.tolist() == drives[1].steering.tolist()

@@ -128,13 +128,13 @@ def test_what_the_controller_does_not_know_makes_the_drive_worse(worse: Conditio
 
 def test_a_controller_that_refuses_a_path_is_a_cell_with_the_reason() -> None:
     cell = drive_cell(PAPER, road("circle"), CALM)
-    assert (cell.fate, cell.numbers, cell.kept) == ("refused", {}, False)
+    assert (cell.outcome, cell.numbers, cell.kept) == ("refused", {}, False)
     assert "turns by 180 degrees against its chord" in cell.reason
 
 
 def test_a_lost_car_is_called_lost_and_is_never_the_best() -> None:
     lost = drive_cell(Contender("classic", "classic", "table3"), road("sc2"), CALM)
-    assert lost.fate.startswith("lost at ")
+    assert lost.outcome.startswith("lost at ")
     small = dict.fromkeys(lost.numbers, 0.0)
     kept = Cell("preview", "sc2", dict.fromkeys(lost.numbers, 1.0))
     assert best_of([lost._replace(numbers=small), kept], "rms_error_m") == {"preview"}

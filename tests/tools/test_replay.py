@@ -130,8 +130,8 @@ def qp_fails(supervisor: Supervisor, step: int) -> None:
 def gains_change(supervisor: Supervisor, step: int) -> None:
     """Use other limits in the middle of the drive."""
     if step == 90:
-        settings = replace(supervisor.made.settings, max_increment=0.02)
-        supervisor.reconfigure(supervisor.made._replace(settings=settings))
+        settings = replace(supervisor.config.settings, max_increment=0.02)
+        supervisor.reconfigure(supervisor.config._replace(settings=settings))
 
 
 def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
@@ -144,7 +144,7 @@ def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
 def assert_same_bits(folder: Path) -> None:
     """Replay, and find no difference."""
     run = read_run(folder)
-    decisions = list(repeat(run.ticks, run.made))
+    decisions = list(repeat(run.ticks, run.config))
     for tick, decision in zip(run.ticks, decisions, strict=True):
         assert differences(tick, decision, 0.0) == []
 
@@ -269,10 +269,10 @@ def test_a_change_answers_the_recorded_situations(
 
 
 def test_a_changed_value_is_checked_like_that_of_a_file() -> None:
-    made = configuration(Choices())
-    assert with_value("chassis.mass=1800")(made).chassis.mass == 1800
+    config = configuration(Choices())
+    assert with_value("chassis.mass=1800")(config).chassis.mass == 1800
     with pytest.raises(ValueError, match=r"--set chassis.mass=-1: mass = -1 must lie in \[1, 1"):
-        with_value("chassis.mass=-1")(made)
+        with_value("chassis.mass=-1")(config)
     with pytest.raises(ValueError, match=r"--set weight=1: must be key=value; keys are chassis"):
         with_value("weight=1")
 

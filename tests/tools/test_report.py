@@ -15,8 +15,8 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.report import main, names_of, page_file
+from launch_scripts.reporting.context import ReportInputs
 from launch_scripts.reporting.drive import Judged, judge_bag
-from launch_scripts.reporting.known import Given
 from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
 from launch_scripts.reporting.panels import panels
@@ -42,7 +42,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def judged(bag: Path, namespace: str | None = None, **given: Any) -> Judged:
-    return judge_bag(bag, "drive", namespace, Given(**given))
+    return judge_bag(bag, "drive", namespace, ReportInputs(**given))
 
 
 def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:

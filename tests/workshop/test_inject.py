@@ -173,13 +173,13 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
     ],
 )
 def test_the_fate_of_a_car_follows_from_its_errors_and_rungs(
-    error: list[float], rungs: list[int], fate: str
+    error: list[float], rungs: list[int], outcome: str
 ) -> None:
     free = log_with([0.0] * 10, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
     found = judge("x", Course(course().scenario, 2.0, free), fault, log_with(error, rungs))
-    assert found.fate == fate
-    assert found.fails == (not fate.endswith("0 s") or fate.startswith("lost"))
+    assert found.outcome == outcome
+    assert found.fails == (not outcome.endswith("0 s") or outcome.startswith("lost"))
 
 
 def test_what_no_controller_survives_is_declared_with_its_reason(
@@ -192,7 +192,7 @@ def test_what_no_controller_survives_is_declared_with_its_reason(
     lost = log_with([0.0] * 5 + [20.0] * 5, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
     found = judge("x", Course(course().scenario, 2.0, free), fault, lost)
-    assert found.excuse == "because"
+    assert found.allowed_reason == "because"
     assert not found.kept
     assert not found.fails
 

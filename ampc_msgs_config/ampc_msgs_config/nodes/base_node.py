@@ -31,9 +31,9 @@ from ampc_msgs_config.types import OK, WARN, VehicleState
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """The executor looks at each event of each publisher at every turn: costs more than a tick."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-DELIVERY = 4.0
+FLUSH_TIMEOUT = 4.0
 """Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
-FAREWELL = 0.5
+SHUTDOWN_TIMEOUT = 0.5
 """The same where nobody said that a recorder listens [s]."""
 
 
@@ -82,12 +82,12 @@ class BaseNode(Node):
         listeners = self.get_subscriptions_info_by_topic(topic)
         return any(listener.node_name == "recorder" for listener in listeners)
 
-    def say_last(self) -> None:
+    def publish_final(self) -> None:
         """Publish what others need when this node ends."""
 
-    def deliver(self) -> None:
+    def flush(self) -> None:
         """Wait until all have the last words; the recorder, where it was waited for, longer."""
-        until = time.monotonic() + (DELIVERY if self.is_recorded else FAREWELL)
+        until = time.monotonic() + (FLUSH_TIMEOUT if self.is_recorded else SHUTDOWN_TIMEOUT)
         for publisher in self.publishers:
             rest = max(until - time.monotonic(), 0.0)
             publisher.wait_for_all_acked(Duration(seconds=rest))
@@ -242,6 +242,6 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     finally:
-        node.say_last()
-        node.deliver()
+        node.publish_final()
+        node.flush()
         node.destroy_node()

@@ -26,9 +26,9 @@ from rclpy.subscription import Subscription
 from ampc_msgs_config import ros
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import (
+    BEST_EFFORT,
     EVERYTHING,
     LATCHED_EVERYTHING,
-    WHATEVER,
     Recording,
 )
 from ampc_msgs_config.recording.message_types import TYPES, message_class, type_name_of
@@ -48,7 +48,7 @@ CONTRACT: dict[str, Any] = {
 LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, ros.TF_STATIC, *ros.CONFIGURATIONS}
 DESCRIBING = (*ros.QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
 """What the controller publishes about its last command."""
-WHOEVER = {ros.PARAMETER_EVENTS, ros.ROSOUT}
+SHARED_TOPICS = {ros.PARAMETER_EVENTS, ros.ROSOUT}
 """Topics on which every node speaks: what they said before the recorder came is not missed."""
 TRANSFORMS = {ros.TF: ros.RELIABLE, ros.TF_STATIC: ros.LATCHED}
 
@@ -152,7 +152,7 @@ class Recorder(Node):
     def listen_for_less(self, refused: Subscription) -> None:
         """Subscribe anew, without history, or where that was too much, without reliability."""
         latched = refused.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self.listen(refused.topic_name, refused.msg_type, EVERYTHING if latched else WHATEVER)
+        self.listen(refused.topic_name, refused.msg_type, EVERYTHING if latched else BEST_EFFORT)
         self.destroy_subscription(refused)
 
     def write_all(self, dated: Iterable[tuple[Arrival, int]]) -> None:
@@ -193,7 +193,9 @@ class Recorder(Node):
         self.write_all(self.arrivals.take_all_before(sys.maxsize))
         self.recording.close()
         bag = self.recording
-        missed = sum(self.first_numbers[topic] - 1 for topic in self.first_numbers.keys() - WHOEVER)
+        missed = sum(
+            self.first_numbers[topic] - 1 for topic in self.first_numbers.keys() - SHARED_TOPICS
+        )
         self.get_logger().info(
             f"recorded {bag.extent.count} messages on {len(bag.topics)} topics, "
             f"{(bag.extent.end_ns - bag.extent.start_ns) / NANOSECONDS:.1f} s, "

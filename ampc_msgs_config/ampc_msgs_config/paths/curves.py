@@ -47,7 +47,7 @@ def bounded(
     return float(value)
 
 
-def borrowed(name: str, key: str) -> Any:
+def read_same_as(name: str, key: str) -> Any:
     """Read the value of a key in the scenario that `same_as` names; it must be that one's own."""
     file = config.find("scenarios", name)
     value = config.read(file).get(key)
@@ -77,7 +77,7 @@ def make_curve(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve,
 
 def _same_as(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
     stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
-    curve, lanes = make_curve(borrowed(content["scenario"], "path"), size)
+    curve, lanes = make_curve(read_same_as(content["scenario"], "path"), size)
     longer = (lane._replace(start=lane.start * stretch, end=lane.end * stretch) for lane in lanes)
     return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), tuple(longer)
 

@@ -37,7 +37,7 @@ LATCHED_EVERYTHING = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The same, where it may come late."""
-WHATEVER = QoSProfile(
+BEST_EFFORT = QoSProfile(
     depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
 )
 """The same, where a publisher offers less, such as a sensor of a car."""

@@ -10,7 +10,7 @@ from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.interpolation import interpolate, section
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.curves import Lane, borrowed, bounded, check_known, make_curve, q
+from ampc_msgs_config.paths.curves import Lane, bounded, check_known, make_curve, q, read_same_as
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path, advance
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.wind import Wind, read_wind, wind_of_steps
@@ -179,7 +179,7 @@ def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Sc
 
 def _speed(content: Any) -> SpeedProfile:
     if isinstance(content, Mapping):
-        return _speed(borrowed(content["same_as"], "speed"))
+        return _speed(read_same_as(content["same_as"], "speed"))
     try:
         table = np.array(content, dtype=float)
     except (TypeError, ValueError):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.paths.curves import borrowed, bounded, check_known, q
+from ampc_msgs_config.paths.curves import bounded, check_known, q, read_same_as
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -52,7 +52,7 @@ def wind_of_steps(wind: tuple[Wind, ...], begin_ns: int, step_ns: int, steps: in
 def read_wind(content: Any) -> tuple[Wind, ...]:
     """Read the wind of a scenario file; a ValueError names the key, the value and the bound."""
     if isinstance(content, Mapping):
-        return read_wind(borrowed(content["same_as"], "wind"))
+        return read_wind(read_same_as(content["same_as"], "wind"))
     if not isinstance(content, list):
         raise ValueError(f"wind = {content!r} must be a list")
     return tuple(_wind_piece(item) for item in content)

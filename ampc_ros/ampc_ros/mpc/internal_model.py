@@ -39,7 +39,7 @@ class Actuator(NamedTuple):
     """Time constant; 0: the angle follows at once [s]."""
 
 
-class Belief(NamedTuple):
+class InternalModel(NamedTuple):
     """All of it."""
 
     vehicle: Vehicle
@@ -51,7 +51,7 @@ class Belief(NamedTuple):
     """Of a model that does not adapt; 0: the model follows the measured speed [m/s]."""
 
 
-def belief_row(
+def internal_model_row(
     chassis: ChassisParameters,
     settings: ControllerSettings,
     steering: SteeringParameters | None = None,
@@ -75,12 +75,14 @@ def belief_row(
 
 
 @in_place
-def believed(row: Array) -> Belief:
+def believed(row: Array) -> InternalModel:
     """Read a row of numbers (20,)."""
     vehicle = (row[0], row[1], row[2], row[3], row[4], row[5])
     bounds = row[6], row[7], row[8], row[9], row[10]
     limits = Limits(*bounds, row[11] > 0.0, int(row[12]), row[13], row[14])
-    return Belief(vehicle, limits, Actuator(int(row[15]), row[16], row[17]), row[18], row[19])
+    return InternalModel(
+        vehicle, limits, Actuator(int(row[15]), row[16], row[17]), row[18], row[19]
+    )
 
 
 def limits_of(settings: ControllerSettings, steering: SteeringParameters | None = None) -> Limits:

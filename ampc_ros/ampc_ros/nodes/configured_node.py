@@ -54,17 +54,17 @@ class ConfiguredNode(ManagedNode):
             ValueError: A file or value is wrong.
         """
         choices = self.choices({})
-        made, source = configuration(choices), gain_file(choices)
+        config, source = configuration(choices), gain_file(choices)
         if hasattr(self, "supervisor"):
             self.forget_inputs()
-            self.supervisor.reconfigure(made, source)
+            self.supervisor.reconfigure(config, source)
         else:
-            self.supervisor = Supervisor(made, source)
+            self.supervisor = Supervisor(config, source)
         ladder = self.supervisor.ladder
         warm_up(ladder.controller)
         ladder.restart(self.supervisor.steering)
         ladder.qp_fault = self.get_parameter("qp_fault").value
-        rehearse(made)
+        rehearse(config)
 
     def forget_inputs(self) -> None:
         """Wait for new inputs: those of an earlier configuration are of another drive."""
@@ -95,13 +95,13 @@ class ConfiguredNode(ManagedNode):
 
     def reconfigure(self, choices: Choices) -> None:
         """Go on with what was chosen; where that is wrong, with what there was."""
-        made, period = configuration(choices), self.supervisor.period
-        if made.settings.sample_time != period:
+        config, period = configuration(choices), self.supervisor.period
+        if config.settings.sample_time != period:
             raise ValueError(
-                f"sample_time = {made.settings.sample_time:g} s must stay {period:g} s while the "
+                f"sample_time = {config.settings.sample_time:g} s must stay {period:g} s while the "
                 "controller is configured"
             )
-        self.supervisor.reconfigure(made, gain_file(choices))
+        self.supervisor.reconfigure(config, gain_file(choices))
         self.publish_configuration()
 
     def publish_configuration(self) -> None:

@@ -83,7 +83,7 @@ class ControllerNode(ConfiguredNode):
             self.outputs.stop(True)
             self.outputs.hold()
 
-    def say_last(self) -> None:
+    def publish_final(self) -> None:
         """Do the same at the end of the process."""
         if self.is_active:
             self.finish()
@@ -116,7 +116,7 @@ class ControllerNode(ConfiguredNode):
             return
         if self.lock_step:
             self.answer_state()
-        elif self.ticks.owed:
+        elif self.ticks.is_deferred:
             self.step()
 
     def take(self, state: VehicleState) -> None:
@@ -154,14 +154,14 @@ class ControllerNode(ConfiguredNode):
             self.trouble = f"the timer was late: {left_out} ticks left out"
         if not self.is_answered() or self.supervisor.is_state_late(self.now_ns):
             self.step()
-        elif self.ticks.owe():
+        elif self.ticks.defer_to_next_state():
             self.trouble = "no new odom since the last tick"
 
     def step(self) -> None:
         """Decide, where that is possible, and publish."""
         if not self.is_active or not self.supervisor.is_ready or self.unrecorded():
             return
-        self.ticks.owed = False
+        self.ticks.is_deferred = False
         start = time.perf_counter()
         decision = self.supervisor.tick(
             self.supervisor.newest_ns if self.lock_step else self.now_ns

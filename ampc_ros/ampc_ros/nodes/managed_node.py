@@ -97,7 +97,7 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
     def _leave(self) -> None:
         try:
             self._deactivate()
-            self.deliver()
+            self.flush()
         finally:
             self.is_active = False
             self.while_active.close()

@@ -8,7 +8,7 @@ from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
 from ampc_msgs_config.types import Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import Belief, belief_row, believed
+from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.paper.tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
@@ -38,8 +38,8 @@ class LateralMpc:
         Raises:
             ValueError: A gain set makes the problem numerically singular.
         """
-        self.numbers = belief_row(chassis, settings, None, base_link_to_cg)
-        self.belief: Belief = believed(self.numbers)
+        self.numbers = internal_model_row(chassis, settings, None, base_link_to_cg)
+        self.belief: InternalModel = believed(self.numbers)
         self.period = settings.sample_time
         self.table = table.table
         for gains in table.nodes:

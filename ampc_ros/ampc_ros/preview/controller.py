@@ -8,7 +8,7 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, S
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import Belief, belief_row, believed
+from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.tick import (
@@ -48,8 +48,8 @@ class PreviewMpc:
             base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
                 [m]; by default `odom` describes the rear axle.
         """
-        self.numbers = belief_row(chassis, settings, steering, base_link_to_cg)
-        self.belief: Belief = believed(self.numbers)
+        self.numbers = internal_model_row(chassis, settings, steering, base_link_to_cg)
+        self.belief: InternalModel = believed(self.numbers)
         self.period = settings.sample_time
         self.table = table.table
         ticks = self.belief.actuator.ticks

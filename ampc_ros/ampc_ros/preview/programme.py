@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_ros.mpc.constraints import output_rows, output_steps, running_sum
 from ampc_ros.mpc.gain_table import Gains
-from ampc_ros.mpc.internal_model import Belief
+from ampc_ros.mpc.internal_model import InternalModel
 from ampc_ros.mpc.laguerre import laguerre_sequence
 from ampc_ros.mpc.model import STATES, V_Y, Vehicle
 from ampc_ros.mpc.prediction import advance, quadratic_cost
@@ -76,7 +76,9 @@ class Plan(NamedTuple):
 
 
 @in_place
-def nominal_steering(belief: Belief, road: Road, u: float, nominal: Array, bounds: Array) -> None:
+def nominal_steering(
+    belief: InternalModel, road: Road, u: float, nominal: Array, bounds: Array
+) -> None:
     """Fill the angles without a correction: the angle in force, on with the road's bends.
 
     Follows the changes of the angle that the road asks for, within the bounds and within
@@ -111,7 +113,7 @@ def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
 
 @in_place
 def predict_on_road(
-    belief: Belief,
+    belief: InternalModel,
     past: Past,
     road: Road,
     nominal: Array,
@@ -220,7 +222,7 @@ def steering_rows(
 
 @inlined
 def preview_plan(
-    belief: Belief,
+    belief: InternalModel,
     gains: Gains,
     past: Past,
     road: Road,

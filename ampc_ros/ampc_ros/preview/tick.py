@@ -26,7 +26,7 @@ from ampc_msgs_config.types import (
     at_distance,
 )
 from ampc_ros.mpc.gain_table import NONE, Gains, Table, look_up
-from ampc_ros.mpc.internal_model import Belief, believed
+from ampc_ros.mpc.internal_model import InternalModel, believed
 from ampc_ros.mpc.model import DELTA, STATES
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
@@ -151,7 +151,7 @@ def send(memory: Array, steering: float) -> float:
 
 
 @in_place
-def expect(belief: Belief, memory: Array, x: Array, road: Road, scratch: Scratch) -> None:
+def expect(belief: InternalModel, memory: Array, x: Array, road: Road, scratch: Scratch) -> None:
     """Note the state that the model, without disturbance, expects at the next tick."""
     model = blank_model(scratch)
     sample(belief.vehicle, road.speed[0], belief.limits.T, belief.actuator, model, scratch)

@@ -41,7 +41,7 @@ def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> He
     if supervisor.path is None:
         return Health(WARN, "waiting for reference_path")
     silence = max(supervisor.state.ages(now_ns))
-    if silence > supervisor.made.settings.state_lost:
+    if silence > supervisor.config.settings.state_lost:
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
     said = [
         _of_path(supervisor, now_ns),
@@ -68,14 +68,14 @@ class Condition(NamedTuple):
 def condition(supervisor: Supervisor, decision: Decision) -> Condition:
     """Give the condition after a tick."""
     told, diagnosis = decision.supervision, decision.command.diagnosis
-    made, age = supervisor.made, max(told.path_age, told.path_silence)
+    config, age = supervisor.config, max(told.path_age, told.path_silence)
     return Condition(
         told.rung,
         told.reason,
         told.clipped,
         diagnosis.mode,
         diagnosis.outside_table,
-        not made.static_path and age > made.settings.path_late,
+        not config.static_path and age > config.settings.path_late,
         supervisor.stop_requested,
     )
 
@@ -93,8 +93,8 @@ def change(before: Condition, now: Condition) -> str:
 
 def _of_path(supervisor: Supervisor, now_ns: int) -> Health:
     assert supervisor.path is not None
-    age, settings = max(supervisor.path.ages(now_ns)), supervisor.made.settings
-    if supervisor.made.static_path or age <= settings.path_late:
+    age, settings = max(supervisor.path.ages(now_ns)), supervisor.config.settings
+    if supervisor.config.static_path or age <= settings.path_late:
         return Health()
     if age <= settings.path_lost:
         return Health(WARN, f"reference_path is {age:.1f} s old")
@@ -126,7 +126,7 @@ def _of_place(decision: Decision) -> Health:
 
 def _of_table(supervisor: Supervisor, decision: Decision | None) -> Health:
     """Say how far the speed lies outside what the gains were tuned for."""
-    axis = supervisor.made.gains.get("speed", [])
+    axis = supervisor.config.gains.get("speed", [])
     if not decision or not decision.command.diagnosis.outside_table or len(axis) < 2:
         return Health()
     assert supervisor.state is not None

@@ -44,7 +44,7 @@ PLAN_TIME = 0.5
 """How long the last plan is good enough [s]."""
 STOP_RATE = 0.1
 """Rate at which the wheel goes to its last safe angle while the car is to stop [rad/s]."""
-NEVER = -(10**18)
+NO_PLAN_NS = -(10**18)
 """Time of a plan that there is not [ns]."""
 MIN_SLACK = 1e-6
 """Violation of the soft lane that counts as one [m]."""
@@ -68,15 +68,15 @@ class Answer(NamedTuple):
 class Ladder:
     """A controller with what stands below it."""
 
-    def __init__(self, made: Configuration, controller: Controller) -> None:
+    def __init__(self, config: Configuration, controller: Controller) -> None:
         """Stand at the top, at rest.
 
         Args:
-            made: What the controller is made of.
+            config: What the controller is made of.
             controller: On top.
         """
         self.controller = controller
-        self.feed_forward = FeedForward(made.chassis, made.base_link_to_cg)
+        self.feed_forward = FeedForward(config.chassis, config.base_link_to_cg)
         self.period_ns = round(controller.period * NANOSECONDS)
         self.plan_ticks = round(PLAN_TIME / controller.period)
         self.qp_fault = False
@@ -89,7 +89,7 @@ class Ladder:
         self.feed_forward.reset()
         self.command = Command(0, steering, 0.0, Diagnosis())
         self.plan: Array = np.array([steering])
-        self.planned_ns = NEVER
+        self.planned_ns = NO_PLAN_NS
 
     def answer(self, state: VehicleState, path: Path, in_force: float, now_ns: int) -> Answer:
         """Answer a new state from the highest rung that holds.

@@ -6,9 +6,9 @@ from ampc_ros.configuration import Configuration
 from ampc_ros.supervision.supervisor import Supervisor
 
 
-def rehearse(made: Configuration) -> None:
+def rehearse(config: Configuration) -> None:
     """Go down the ladder once, so that nothing is compiled or loaded in a tick."""
-    supervisor, path = Supervisor(made), make_path([(0.0, 0.0), (200.0, 0.0)])
+    supervisor, path = Supervisor(config), make_path([(0.0, 0.0), (200.0, 0.0)])
     ticks = supervisor.ladder.plan_ticks + 2
     for tick in range(ticks):
         x, stamp_ns = 9.0 * tick * supervisor.period, round(tick * supervisor.period * NANOSECONDS)

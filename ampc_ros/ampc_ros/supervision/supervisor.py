@@ -30,11 +30,13 @@ class Decision(NamedTuple):
 class Supervisor:
     """A controller between its inputs and the steering."""
 
-    def __init__(self, made: Configuration, source: object = "gain table", number: int = 1) -> None:
+    def __init__(
+        self, config: Configuration, source: object = "gain table", number: int = 1
+    ) -> None:
         """Make controller, ladder and guard, at rest.
 
         Args:
-            made: What all is made of.
+            config: What all is made of.
             source: Of the gains, for the message.
             number: Of this configuration; each further one counts on.
 
@@ -50,30 +52,30 @@ class Supervisor:
         self.measured = math.nan
         self.clips = dict.fromkeys(LIMITS[1:], 0)
         """How often the guard clipped, under all configurations."""
-        self._install(made, build_controller(made, source), 0.0)
+        self._install(config, build_controller(config, source), 0.0)
 
-    def reconfigure(self, made: Configuration, source: object = "gain table") -> None:
+    def reconfigure(self, config: Configuration, source: object = "gain table") -> None:
         """Go on with another configuration from the angle in force; a wrong one changes nothing.
 
         Raises:
             ValueError: The gains make the controller's problem numerically singular, or it cannot
                 take the path in use.
         """
-        controller = build_controller(made, source)
+        controller = build_controller(config, source)
         if self.path:
             controller.check(self.path.value)
         before, fault = self.ladder.controller, self.ladder.qp_fault
-        self._install(made, controller, self.steering)
+        self._install(config, controller, self.steering)
         if isinstance(controller, PreviewMpc) and isinstance(before, PreviewMpc):
             controller.inherit(before)
         self.ladder.qp_fault = fault
 
-    def _install(self, made: Configuration, controller: Controller, steering: float) -> None:
-        self.made, self.number = made, self.number + 1
+    def _install(self, config: Configuration, controller: Controller, steering: float) -> None:
+        self.config, self.number = config, self.number + 1
         self.period = controller.period
-        self.guard = Guard(made.guard, made.chassis, controller.period)
+        self.guard = Guard(config.guard, config.chassis, controller.period)
         self.guard.steering, self.guard.count = steering, self.clips
-        self.ladder = Ladder(made, controller)
+        self.ladder = Ladder(config, controller)
         self.ladder.restart(steering)
 
     @property
@@ -120,7 +122,7 @@ class Supervisor:
         Where simulated time goes back, the simulated car is at its start again: wheels straight.
         """
         goes_back = self.state is not None and state.stamp_ns < self.state.stamp_ns
-        self.restart(0.0 if goes_back and self.made.simulated_time else None)
+        self.restart(0.0 if goes_back and self.config.simulated_time else None)
 
     def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
         """Take a path (n, 2) [m]; one that is in use already is only renewed.
@@ -132,7 +134,7 @@ class Supervisor:
         if self.path and self.points is not None and np.array_equal(points, self.points):
             self.path = Received(self.path.value, stamp_ns, now_ns)
             return
-        path = check_path(points, self.made.chassis, self.made.max_angle)
+        path = check_path(points, self.config.chassis, self.config.max_angle)
         self.follow(path, stamp_ns, now_ns)
         self.points = points
 
@@ -201,7 +203,7 @@ class Supervisor:
 
     def _answer(self, state: Received[VehicleState], path: Path, now_ns: int) -> Answer:
         """Choose the rung by the age of state and path."""
-        if state.is_older(now_ns, self.made.settings.state_lost):
+        if state.is_older(now_ns, self.config.settings.state_lost):
             return self.ladder.stop(STATE_LOST, self.steering, now_ns)
         if self.is_state_late(now_ns):
             return self.ladder.go_on(STATE_LATE, self.steering, now_ns)
@@ -222,13 +224,15 @@ class Supervisor:
 
     def is_state_late(self, now_ns: int) -> bool:
         """Whether the newest state is too old to wait for another one."""
-        return self.state is not None and self.state.is_older(now_ns, self.made.settings.state_late)
+        return self.state is not None and self.state.is_older(
+            now_ns, self.config.settings.state_late
+        )
 
     def is_path_lost(self, now_ns: int) -> bool:
         """Whether the path is too old to be followed without a stop."""
-        if self.path is None or self.made.static_path:
+        if self.path is None or self.config.static_path:
             return False
-        return self.path.is_older(now_ns, self.made.settings.path_lost)
+        return self.path.is_older(now_ns, self.config.settings.path_lost)
 
     def _told(
         self,

@@ -17,12 +17,12 @@ class Ticks:
         self.missed = 0
         self.lateness_ns = 0
         """Of the newest tick [ns]."""
-        self.owed = False
+        self.is_deferred = False
         self.due_ns: int | None = None
 
     def restart(self) -> None:
         """Go on from a new time: nothing is owed, nothing was left out."""
-        self.owed, self.due_ns = False, None
+        self.is_deferred, self.due_ns = False, None
 
     def begin(self, now_ns: int, left_ns: int) -> int:
         """Note a tick; gives how many the timer has left out before it.
@@ -39,8 +39,8 @@ class Ticks:
         self.missed += left_out
         return left_out
 
-    def owe(self) -> bool:
+    def defer_to_next_state(self) -> bool:
         """Note that there was no new state; tells whether the tick before is missed for good."""
-        missed, self.owed = self.owed, True
+        missed, self.is_deferred = self.is_deferred, True
         self.missed += missed
         return missed

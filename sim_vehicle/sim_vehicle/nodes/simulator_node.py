@@ -45,11 +45,11 @@ class SimulatorNode(BaseNode):
     def __init__(self) -> None:
         """Load the car and the drive; the first state goes out once both peers are there."""
         super().__init__("simulator", owns_time=True)
-        self.made = self._made()
-        self.simulation = self.made.simulation()
+        self.config = self._made()
+        self.simulation = self.config.simulation()
         self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles, as `measure` does
         self.simulation.car.measure(0)
-        self.simulation = self.made.simulation()
+        self.simulation = self.config.simulation()
         limits = (0.1, 3600.0)
         self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
         self.start_time_out = declare(
@@ -87,7 +87,7 @@ class SimulatorNode(BaseNode):
         self.wind = self.create_publisher(Vector3Stamped, ros.WIND, ros.RELIABLE)
         self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
-        self.configurations.publish(String(data=to_yaml(self.made)))
+        self.configurations.publish(String(data=to_yaml(self.config)))
         if self.lock_step:
             self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
         self.peers = [
@@ -164,7 +164,7 @@ class SimulatorNode(BaseNode):
         due_ns = self.now_ns - self.stamp_ns
         if due_ns < 0:
             self.get_logger().warning("time went backwards: the car is at its start again")
-            self.simulation, self.start_ns = self.made.simulation(), self.now_ns
+            self.simulation, self.start_ns = self.config.simulation(), self.now_ns
         elif due_ns >= STEP_NS:
             self.check_silence()
             self.move(due_ns // STEP_NS * STEP_NS)

@@ -116,11 +116,11 @@ def wait_for(nodes: Processes, patience: float) -> None:
     until = time.monotonic() + patience
     while not (ended := nodes.ended()):
         if time.monotonic() > until:
-            raise RuntimeError(f"no result: {nodes.last_words('car')}")
+            raise RuntimeError(f"no result: {nodes.last_line('car')}")
         time.sleep(0.2)
     for name, code in ended.items():
         if name != "car" or code != 0:
-            raise RuntimeError(f"{name} ended with exit code {code}: {nodes.last_words(name)}")
+            raise RuntimeError(f"{name} ended with exit code {code}: {nodes.last_line(name)}")
 
 
 @contextmanager

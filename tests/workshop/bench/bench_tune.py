@@ -20,9 +20,9 @@ from rich.table import Table
 
 from ampc_msgs_config.config import find
 from launch_scripts.reporting.style import BLUE, ORANGE
-from launch_scripts.tuning.fitness import GENTLE, Node, crowd, fitness, prepared
+from launch_scripts.tuning.fitness import GENTLE, Node, fitness, prepared, repeat_for_gain_sets
 from launch_scripts.tuning.fleet import Array, Fleet
-from launch_scripts.tuning.fleet_rows import Expedition, run
+from launch_scripts.tuning.fleet_rows import FleetRun, run
 from launch_scripts.tuning.workers import open_workers
 from sim_vehicle.parameters import load_vehicle
 
@@ -41,15 +41,15 @@ STYLES = ((BLUE, "o", "-"), (ORANGE, "^", "--"), ("#56B4E9", "s", "-."), ("#009E
 Times = dict[str, list[float]]
 
 
-def generation(sizes: dict[str, int]) -> list[Expedition]:
+def generation(sizes: dict[str, int]) -> list[FleetRun]:
     """Lay out a generation: so many nodes, particles, plants, and ticks of 0.1 s each."""
     vehicle = load_vehicle(find("vehicles", "paper"))
     nodes = [Node(vehicle, "preview", "robust", v) for v in SPEEDS[: sizes["nodes"]]]
     rows = np.array([GENTLE] * sizes["particles"], dtype=float)
-    return [crowd(shortened(prepared(node), sizes), rows) for node in nodes]
+    return [repeat_for_gain_sets(shortened(prepared(node), sizes), rows) for node in nodes]
 
 
-def shortened(expedition: Expedition, sizes: dict[str, int]) -> Expedition:
+def shortened(expedition: FleetRun, sizes: dict[str, int]) -> FleetRun:
     """Keep the first plants and ticks of a node's drives."""
     fleet, plants = expedition.fleet, sizes["plants"]
     first = {name: getattr(fleet, name)[:plants] for name in Fleet._fields[:-2]}
@@ -57,7 +57,7 @@ def shortened(expedition: Expedition, sizes: dict[str, int]) -> Expedition:
     return expedition._replace(fleet=fleet._replace(**first))
 
 
-def seconds_of(expeditions: Sequence[Expedition]) -> float:
+def seconds_of(expeditions: Sequence[FleetRun]) -> float:
     """Wall time of driving a generation, one node after the other [s]."""
     begin = perf_counter()
     for expedition in expeditions:

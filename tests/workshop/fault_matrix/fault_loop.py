@@ -173,7 +173,7 @@ class FaultyDrive:
             if supervisor.resets > resets:
                 self.ticks.restart()
                 self.answered_ns = -1
-            if self.ticks.owed:
+            if self.ticks.is_deferred:
                 self.step()
 
     def on_tick(self) -> None:
@@ -184,11 +184,11 @@ class FaultyDrive:
         if newest != self.answered_ns or self.supervisor.is_state_late(self.clock_ns()):
             self.step()
         else:
-            self.ticks.owe()
+            self.ticks.defer_to_next_state()
 
     def step(self) -> None:
         """Decide, and steer."""
-        self.ticks.owed = False
+        self.ticks.is_deferred = False
         self.supervisor.ladder.qp_fault = self.line.is_on("qp_fault", self.now_ns)
         decision = self.supervisor.tick(self.clock_ns())
         if decision:

@@ -90,7 +90,7 @@ class Unavoidable(NamedTuple):
 UNAVOIDABLE: tuple[Unavoidable, ...] = ()
 
 
-def excuse(name: str, scenario: str) -> str:
+def allowed_reason(name: str, scenario: str) -> str:
     """Give the reason for which a cell may be lost; empty: it may not."""
     known = (each for each in UNAVOIDABLE if each.case == name and scenario in each.scenarios)
     return next((each.reason for each in known), "")

@@ -17,7 +17,7 @@ from launch_scripts.faults.schedule import Fault, Injector, Plan
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle, load_vehicle
 from tests.workshop.fault_matrix.fault_loop import ODOM_NS, FaultyDrive, Log
-from tests.workshop.fault_matrix.inject_cases import Case, excuse
+from tests.workshop.fault_matrix.inject_cases import Case, allowed_reason
 
 EARLIEST = 1.0
 """When a fault starts, at least [s]."""
@@ -73,7 +73,7 @@ class Cell(NamedTuple):
     resets: int
     missed: int
     stop_requested: bool
-    excuse: str
+    allowed_reason: str
     """Why it may be lost; empty: it may not."""
 
     @property
@@ -84,10 +84,10 @@ class Cell(NamedTuple):
     @property
     def fails(self) -> bool:
         """Whether this must not be."""
-        return not (self.kept or self.excuse)
+        return not (self.kept or self.allowed_reason)
 
     @property
-    def fate(self) -> str:
+    def outcome(self) -> str:
         """What became of the car, in a word or two."""
         if not math.isnan(self.lost_after):
             return f"lost at {self.lost_after:.1f} s"
@@ -105,7 +105,7 @@ class Bench:
         """
         self.conditions = conditions
         self.vehicle: Vehicle = load_vehicle(find("vehicles", conditions.vehicle))
-        self.made: Configuration = configuration(
+        self.config: Configuration = configuration(
             Choices(conditions.controller, conditions.vehicle, guard=conditions.guard)
         )
 
@@ -113,7 +113,7 @@ class Bench:
         """Give a drive at its start."""
         return FaultyDrive(
             Simulation(self.vehicle, scenario),
-            Supervisor(self.made),
+            Supervisor(self.config),
             Injector(Plan(faults, self.conditions.seed)),
             obey=self.conditions.obey,
         )
@@ -169,7 +169,7 @@ def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
         int(told[-1].resets),
         log.missed,
         bool(told[-1].stop_requested),
-        excuse(name, course.scenario.name),
+        allowed_reason(name, course.scenario.name),
     )
 
 

@@ -74,14 +74,14 @@ def legend() -> str:
 
 def summary(cell: Cell) -> str:
     """Give error and recovery."""
-    return f"{cell.max_error:.2f} m, {cell.fate}" if cell.kept else cell.fate
+    return f"{cell.max_error:.2f} m, {cell.outcome}" if cell.kept else cell.outcome
 
 
 def remarks(report: Report) -> list[str]:
     """Say which cells are no recovery, and why."""
     return [
-        f"{cell.case}, {cell.scenario}: {cell.fate}, largest error {cell.max_error:.2f} m: "
-        f"{cell.excuse or 'must not be'}"
+        f"{cell.case}, {cell.scenario}: {cell.outcome}, largest error {cell.max_error:.2f} m: "
+        f"{cell.allowed_reason or 'must not be'}"
         for cell in report.cells
         if not cell.kept
     ]
@@ -211,8 +211,8 @@ def heat_map(report: Report) -> Figure:
 
 def _square(cell: Cell) -> Square:
     if not cell.kept:
-        return Square(cell.fate, hatch="xxx" if cell.fails else "////")
-    return Square(f"{cell.max_error:.2f}    {cell.fate}", max(cell.max_error, FINEST))
+        return Square(cell.outcome, hatch="xxx" if cell.fails else "////")
+    return Square(f"{cell.max_error:.2f}    {cell.outcome}", max(cell.max_error, FINEST))
 
 
 def write(report: Report, folder: Path) -> None:

@@ -40,28 +40,28 @@ def shipped(controller: str, vehicle: str, guard: str) -> Configuration:
 
 def any_configuration(rng: np.random.Generator) -> Configuration:
     """Give one of all controllers, vehicles, guards, solvers, actuators."""
-    made = shipped(
+    config = shipped(
         str(rng.choice(list(CONTROLLERS))),
         str(rng.choice(["paper", "ordinary"])),
         str(rng.choice(["road", "track"])),
     )
     settings = replace(
-        made.settings,
+        config.settings,
         max_output_error=float(rng.choice([math.inf, math.inf, 0.3, 0.05, 0.0])),
         solver=str(rng.choice(["active_set", "active_set", "hildreth"])),
         hildreth_sweeps=int(rng.choice([1, 3, 38, 200])),
         friction=float(rng.choice([0.9, 0.9, 0.2])),
     )
     steering = replace(
-        made.steering,
+        config.steering,
         delay=float(rng.choice([0.0, 0.1, 0.25])),
         lag=float(rng.choice([0.0, 0.1, 0.5])),
         max_rate=float(rng.choice([math.inf, 0.5])),
     )
-    return made._replace(
+    return config._replace(
         settings=settings,
         steering=steering,
-        base_link_to_cg=made.base_link_to_cg + float(rng.choice([0.0, 0.0, 1.0, -20.0])) / 2,
+        base_link_to_cg=config.base_link_to_cg + float(rng.choice([0.0, 0.0, 1.0, -20.0])) / 2,
         static_path=bool(rng.random() < 0.2),
         simulated_time=bool(rng.random() < 0.5),
     )
@@ -110,7 +110,7 @@ class Core:
                 raise Violation("no command in spite of state and path")
             return None
         self.check(decision, last)
-        self.road.steer(self.supervisor.steering, self.supervisor.made.chassis.wheelbase)
+        self.road.steer(self.supervisor.steering, self.supervisor.config.chassis.wheelbase)
         return decision
 
     def check(self, decision: Decision, last: float) -> None:
@@ -136,8 +136,8 @@ class Core:
         """Raise a Violation where a command is beyond the guard's limits at the speed."""
         supervisor = self.supervisor
         assert supervisor.state is not None
-        v_x, guard = supervisor.state.value.v_x, supervisor.made.guard
-        bound = bounds(guard, supervisor.made.chassis, v_x)
+        v_x, guard = supervisor.state.value.v_x, supervisor.config.guard
+        bound = bounds(guard, supervisor.config.chassis, v_x)
         most, fastest = min(bound.angle, bound.acceleration), min(bound.rate, bound.jerk)
         if abs(steering) > max(most, abs(last)):
             raise Violation(f"angle {steering!r} is beyond {most!r} at {v_x!r} m/s, from {last!r}")
@@ -159,7 +159,7 @@ class Core:
                 refused = str(error)
             decision = self.tick(state.stamp_ns)
         rung = decision.supervision.rung if decision else -1
-        settings = supervisor.made.settings
+        settings = supervisor.config.settings
         told = decision.supervision if decision else None
         few = settings.hildreth_sweeps < ENOUGH_SWEEPS
         lane = math.isfinite(settings.max_output_error)

@@ -29,7 +29,7 @@ WHEELBASE = 2.7
 """Of a car that nobody describes [m]."""
 
 
-class Given(NamedTuple):
+class ReportInputs(NamedTuple):
     """What the user says about a drive whose bag does not."""
 
     vehicle: Vehicle | None = None
@@ -37,7 +37,7 @@ class Given(NamedTuple):
     controller: str = ""
 
 
-class Known(NamedTuple):
+class RunContext(NamedTuple):
     """What is known about controller and car; None where nothing is."""
 
     controller: str
@@ -83,7 +83,7 @@ class Known(NamedTuple):
         return np.array([min(each.angle, each.acceleration) for each in found])
 
 
-def known_of(columns: BagColumns, given: Given) -> Known:
+def run_context_of(columns: BagColumns, given: ReportInputs) -> RunContext:
     """Give what a bag's configuration tells, completed by what the user says."""
     control = columns.configuration.get("controller", {})
     vehicle = columns.configuration.get("simulator", {}).get("vehicle", {})
@@ -95,7 +95,7 @@ def known_of(columns: BagColumns, given: Given) -> Known:
     numbers = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
     if len(numbers) > 1:
         notes.append(f"The configuration was changed {len(numbers) - 1} times: the last is shown.")
-    return Known(
+    return RunContext(
         str(control.get("controller", given.controller)),
         str(control.get("version", "")),
         chassis,
@@ -119,7 +119,7 @@ def section(cls: type[T], content: Any, name: str, notes: list[str]) -> T | None
         return None
 
 
-def untold(given: Given) -> str:
+def untold(given: ReportInputs) -> str:
     """Say what follows where the bag holds no configuration of the controller."""
     missing = "The bag holds no controller/configuration"
     if given.vehicle is None:
