@@ -32,7 +32,7 @@ from tests.report_bags import (
 from tests.tools.test_result import CIRCLE, drive_messages, write_bag
 from tests.workshop.bench.bench_report_page import make_bag
 
-EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "thresholds.yaml"
+EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "reporting" / "thresholds.yaml"
 
 
 @pytest.fixture(scope="module")
