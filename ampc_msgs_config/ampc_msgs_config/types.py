@@ -10,9 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.compiled import compiled
-
+Array = NDArray[np.float64]
 NANOSECONDS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+QUATERNION_LENGTH = (0.9, 1.1)
+"""Allowed length of a received quaternion, which is ideally 1."""
 
 
 class VehicleState(NamedTuple):
@@ -126,9 +130,9 @@ class Command(NamedTuple):
     steering_rate: float
     """Rate at which the angle is to be reached [rad/s]."""
     diagnosis: Diagnosis
-    prediction: NDArray[np.float64] | None = None
+    prediction: Array | None = None
     """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
-    plan: NDArray[np.float64] | None = None
+    plan: Array | None = None
     """(n,) angles that it means to command at this and the following ticks [rad]."""
 
 
@@ -167,45 +171,3 @@ class Supervision(NamedTuple):
     """Number of the configuration in force."""
     qp_fault: float
     """1 where the solver was made to fail, for a test."""
-
-
-@compiled
-def wrap_angle(angle: float) -> float:
-    """Give the same direction in [-pi, pi] [rad].
-
-    Note:
-        math.remainder does not exist in compiled code. Up to 3 pi this gives the same number;
-        beyond it is exact to the rounding of the whole turns, as the angle itself is.
-    """
-    turns: float = np.rint(angle / math.tau)
-    return angle - math.tau * turns
-
-
-@compiled
-def quaternion_from_yaw(yaw: float) -> tuple[float, float]:
-    """Give the z and w components of the unit quaternion of a rotation about z."""
-    return math.sin(yaw / 2), math.cos(yaw / 2)
-
-
-@compiled
-def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
-    """Give the yaw of a quaternion in the z-y-x convention, in [-pi, pi] [rad]."""
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-@compiled
-def as_received(state: VehicleState) -> VehicleState:
-    """Give the state as a subscriber reads it: the heading has been a quaternion on the wire."""
-    stamp_ns, x, y, yaw, v_x, v_y, yaw_rate = state
-    z, w = quaternion_from_yaw(yaw)
-    yaw = yaw_from_quaternion(0.0, 0.0, z, w)
-    return VehicleState(stamp_ns, x, y, yaw, v_x, v_y, yaw_rate)
-
-
-@compiled
-def at_distance(state: VehicleState, distance: float) -> VehicleState:
-    """Move the point that a state describes forward along the body's x axis by `distance` [m]."""
-    stamp_ns, x, y, yaw, v_x, v_y, yaw_rate = state
-    x += distance * math.cos(yaw)
-    y += distance * math.sin(yaw)
-    return VehicleState(stamp_ns, x, y, yaw, v_x, v_y + distance * yaw_rate, yaw_rate)

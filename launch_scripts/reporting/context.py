@@ -14,7 +14,7 @@ from ampc_msgs_config.parameters import (
     SizeParameters,
     SteeringParameters,
 )
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import limits_of
 from ampc_ros.preview.model import angle_bound
 from ampc_ros.preview.programme import FRICTION_SHARE

@@ -15,9 +15,8 @@ from ampc_msgs_config.metrics import (
     ticks,
     time_where,
 )
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 ROAD = make_path([(0.0, 0.0), (100.0, 0.0)])
 SLOPE = make_path([(0.0, 0.0), (60.0, 80.0)])

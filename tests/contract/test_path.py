@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.paths.path import (
     LOST,
-    Array,
     Path,
     Progress,
     cross_track_error,
@@ -20,7 +20,7 @@ from ampc_msgs_config.paths.path import (
 )
 from ampc_msgs_config.paths.path_fitting import MAX_LENGTH, make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, rotate, set_point
-from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=60, deadline=None, derandomize=True)
 both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])

@@ -13,7 +13,6 @@ from ampc_msgs_config.paths.path import (
     AHEAD,
     BEHIND,
     NOT_CAUGHT,
-    Array,
     Path,
     Progress,
     advance,
@@ -21,6 +20,7 @@ from ampc_msgs_config.paths.path import (
     point_at,
 )
 from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import Array
 
 RADIUS = 50.0
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numba.core.dispatcher import Dispatcher
 
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.frames import as_received, at_distance
 from ampc_msgs_config.paths.path import (
     AHEAD,
     BEHIND,
     FIRST_CATCH,
     LOST,
     NOT_CAUGHT,
-    Array,
     Path,
     Progress,
     advance,
@@ -29,7 +29,7 @@ from ampc_msgs_config.paths.path import (
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame, place, set_point
 from ampc_msgs_config.scenarios.scenario import SpeedProfile, target_speed
-from ampc_msgs_config.types import VehicleState, as_received, at_distance
+from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=150, deadline=None, derandomize=True)
 Pose = tuple[float, float, float]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.curves import ISO_ENTRY, q
-from ampc_msgs_config.paths.path import Array, point_at, project
+from ampc_msgs_config.paths.path import point_at, project
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import (
     SPEED_PREVIEW,
@@ -26,7 +26,7 @@ from ampc_msgs_config.scenarios.scenario import (
     wind_of_drive,
 )
 from ampc_msgs_config.scenarios.wind import wind_at, wind_of_steps
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
 many = settings(max_examples=60, deadline=None, derandomize=True)

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import minimize, search
-from ampc_ros.pso.settings import VARIANTS, Array, Dimension, PsoSettings
+from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
 from ampc_ros.pso.swarm import from_json, to_json
 
 LINE = (Dimension("x", -10.0, 10.0),)
