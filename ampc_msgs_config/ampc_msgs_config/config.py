@@ -28,6 +28,7 @@ from ampc_msgs_config.validation import (
     dotted,
     hints,
     is_record,
+    tag_of,
     unwrap,
 )
 
@@ -196,12 +197,12 @@ def check_nodes(node: Any, counts: dict[int, int], key: str) -> int:
             name, value = part
             inner = dotted(key, str(name.value))
             line = name.start_mark.line + 1
-            if isinstance(name, yaml.ScalarNode) and lines.setdefault(name.value, line) != line:
-                shown = value.value if isinstance(value, yaml.ScalarNode) else "..."
-                first = lines[name.value]
-                raise ValueError(
-                    f"{inner} = {shown} in line {line} repeats the key of line {first}"
-                )
+            if isinstance(name, yaml.ScalarNode):
+                if name.value in lines:
+                    text = value.value if isinstance(value, yaml.ScalarNode) else "..."
+                    where = f"in line {line} repeats the key of line {lines[name.value]}"
+                    raise ValueError(f"{inner} = {text} {where}")
+                lines[name.value] = line
             total += check_nodes(name, counts, inner) + check_nodes(value, counts, inner)
         else:
             total += check_nodes(part, counts, f"{key}[{i}]")
@@ -301,7 +302,7 @@ def _rows(kind: Any, key: str, default: Any) -> list[Row]:
         members = [each for each in get_args(inner) if each is not type(None)]
         return [row for each in members for row in _rows(each, key, default)]
     if is_record(inner):
-        tag = getattr(getattr(inner, "__struct_config__", None), "tag", None)
+        _, tag = tag_of(inner)
         label = f"{key} ({tag})" if tag else key
         empty = [Row(label, "mapping", "", "", "", _first_line(inner))] if tag else []
         return empty + parameter_rows(inner, label)

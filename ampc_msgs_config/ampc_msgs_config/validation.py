@@ -178,7 +178,7 @@ def check_keys(cls: type, content: Mapping[Any, Any], key: str) -> None:
     """
     where = f"{key}: " if key else ""
     known, renamed = defaults(cls), getattr(cls, "RENAMED", {})
-    tag = getattr(getattr(cls, "__struct_config__", None), "tag_field", None)
+    tag, _ = tag_of(cls)
     for name in content:
         if name in renamed:
             raise ValueError(f"{where}key {name!r} is now {renamed[name]!r}")
@@ -192,29 +192,38 @@ def check_keys(cls: type, content: Mapping[Any, Any], key: str) -> None:
 
 def _alternative(union: Any, value: Any, key: str) -> Any:
     """Return the member of a union that a value is meant for: by None, by tag, or by its form."""
-    members = get_args(union)
-    if value is None and type(None) in members:
+    if value is None and type(None) in get_args(union):
         return type(None)
-    rest = [member for member in members if member is not type(None)]
-    tagged = {
-        member.__struct_config__.tag: member
-        for member in rest
-        if getattr(getattr(member, "__struct_config__", None), "tag", None)
-    }
-    if len(tagged) == len(rest) > 1:
-        if not isinstance(value, Mapping):
-            raise ValueError(f"{key} = {shown(value)} must be a mapping of keys")
-        field = rest[0].__struct_config__.tag_field
-        if field not in value:
-            raise ValueError(f"{key}: missing key {field!r}")
-        if not isinstance(value[field], str) or value[field] not in tagged:
-            options = ", ".join(tagged)
-            raise ValueError(f"{key}.{field} = {shown(value[field])} must be one of {options}")
-        return tagged[value[field]]
-    records = [member for member in rest if is_record(unwrap(member)[0])]
-    others = [member for member in rest if member not in records]
-    is_mapping = isinstance(value, Mapping)
-    return (records or others)[0] if is_mapping else (others or records)[0]
+    members = [member for member in get_args(union) if member is not type(None)]
+    for member in members:
+        if isinstance(member, type) and isinstance(value, member):
+            return member
+    tagged = {tag_of(member)[1]: member for member in members}
+    if None not in tagged:
+        return _tagged(tagged, value, key)
+    records = [member for member in members if is_record(unwrap(member)[0])]
+    others = [member for member in members if member not in records]
+    return (records + others if isinstance(value, Mapping) else others + records)[0]
+
+
+def _tagged(members: Mapping[str | None, Any], value: Any, key: str) -> Any:
+    """Return the member whose tag a mapping holds."""
+    field = tag_of(next(iter(members.values())))[0]
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{key} = {shown(value)} must be a mapping of keys")
+    if field not in value:
+        raise ValueError(f"{key}: missing key {field!r}")
+    tag = value[field]
+    if not isinstance(tag, str) or tag not in members:
+        options = ", ".join(map(str, members))
+        raise ValueError(f"{key}.{field} = {shown(tag)} must be one of {options}")
+    return members[tag]
+
+
+def tag_of(cls: Any) -> tuple[str | None, str | None]:
+    """Return the name of the tag field of a Struct and its tag; None: no tag."""
+    config = getattr(cls, "__struct_config__", None)
+    return (config.tag_field, config.tag) if config else (None, None)
 
 
 def _row(kind: Any, meta: msgspec.Meta | None, values: Any, key: str) -> tuple[Any, ...]:

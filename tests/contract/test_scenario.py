@@ -317,40 +317,42 @@ BAD: dict[str, dict[str, Any]] = {
     "missing key 'path'": {"path": None},
     "missing key 'speed'": {"speed": None},
     "missing key 'duration'": {"duration": None},
-    "scenario: unknown key 'sped'": {"sped": 1},
-    r"duration = 0 must be a number in \[0.1, 100000\]": {"duration": 0},
-    r"duration = nan must be a number": {"duration": math.nan},
+    "unknown key 'sped'; known are path, speed": {"sped": 1},
+    r"duration = 0 must lie in \[0.1, 100000\]": {"duration": 0},
+    r"duration = nan must lie in": {"duration": math.nan},
     r"duration = True must be a number": {"duration": True},
     r"start_offset = '1' must be a number in \[-100, 100\]": {"start_offset": "1"},
     r"path = 'straight' must be a mapping": {"path": "straight"},
-    r"missing key 'kind'": {"path": {}},
-    r"path: kind = 'spiral' must be one of moves, .*same_as": {"path": {"kind": "spiral"}},
+    r"path: missing key 'kind'": {"path": {}},
+    r"path.kind = 'spiral' must be one of moves, .*same_as": {"path": {"kind": "spiral"}},
     r"path: unknown key 'raduis'": {"path": {"kind": "circle", "raduis": 3.0}},
-    r"path of kind sine: unknown key 'radius'; known are": {"path": {"kind": "sine", "radius": 3}},
-    r"missing key 'radius'": {"path": {"kind": "circle"}},
-    r"radius = 0.5 must be at least 1 m": {"path": {"kind": "circle", "radius": 0.5}},
-    r"part = 3 must be a number in \[1, 2\]": {"path": {"kind": "iso3888", "part": 3}},
-    r"moves = 5 must be a list": {"path": {"kind": "moves", "moves": 5}},
-    r"moves = 'left' must be a mapping": {"path": {"kind": "moves", "moves": ["left"]}},
-    r"over = 0 must be a number in \[0.1": {
+    r"path: unknown key 'radius'; known are kind, amp": {"path": {"kind": "sine", "radius": 3}},
+    r"path: missing key 'radius'": {"path": {"kind": "circle"}},
+    r"path.radius = 0.5 must be at least 1 m": {"path": {"kind": "circle", "radius": 0.5}},
+    r"path.part = 3 must lie in \[1, 2\]": {"path": {"kind": "iso3888", "part": 3}},
+    r"path.moves = 5 must be a list": {"path": {"kind": "moves", "moves": 5}},
+    r"path.moves\[0\] = 'left' must be a mapping": {"path": {"kind": "moves", "moves": ["left"]}},
+    r"path.moves\[0\].over = 0 must lie in \[0.1": {
         "path": {"kind": "moves", "moves": [{**MOVE, "over": 0}]}
     },
-    r"by = 'far' must be": {"path": {"kind": "moves", "moves": [{**MOVE, "by": "far"}]}},
-    r"stretch = -1 must be": {"path": {"kind": "same_as", "scenario": "sc1", "stretch": -1}},
+    r"path.moves\[0\].by = 'far' must be a number": {
+        "path": {"kind": "moves", "moves": [{**MOVE, "by": "far"}]}
+    },
+    r"path.stretch = -1 must lie": {"path": {"kind": "same_as", "scenario": "sc1", "stretch": -1}},
     r"'sc9' is neither a file nor": {"path": {"kind": "same_as", "scenario": "sc9"}},
-    r"speed = 9 must be a list of \[time, speed\]": {"speed": 9},
-    r"speed = \[\[0, 'fast'\]\] must be a list": {"speed": [[0, "fast"]]},
-    r"speed = \[\[0, 1\], \[2\]\] must be a list": {"speed": [[0, 1], [2]]},
-    r"speed = \[\] must be a list": {"speed": []},
-    r"speed = \[\[0, nan\]\] must be a list": {"speed": [[0, math.nan]]},
-    r"speed: time 1 in row 3 must be greater than 2": {"speed": [[0, 5], [2, 5], [1, 5]]},
-    r"speed = 101 must lie in \[0, 100\] m/s": {"speed": [[0, 101]]},
-    r"speed = -1 must lie in \[0, 100\] m/s": {"speed": [[0, -1]]},
+    r"speed = 9 must be a list": {"speed": 9},
+    r"speed\[0\]\[1\] = 'fast' must be a number": {"speed": [[0, "fast"]]},
+    r"speed\[1\] = \[2\] must be a list of 2 entries": {"speed": [[0, 1], [2]]},
+    r"speed = \[\] must be a list of 1 to": {"speed": []},
+    r"speed\[0\]\[1\] = nan must lie in": {"speed": [[0, math.nan]]},
+    r"speed\[2\]: time 1 must be greater than 2": {"speed": [[0, 5], [2, 5], [1, 5]]},
+    r"speed\[0\]\[1\] = 101 must lie in \[0, 100\] m/s": {"speed": [[0, 101]]},
+    r"speed\[0\]\[1\] = -1 must lie in \[0, 100\] m/s": {"speed": [[0, -1]]},
     r"wind = 3 must be a list": {"wind": 3},
-    r"wind: kind = 'storm' must be gust or block": {"wind": [{**GUST, "kind": "storm"}]},
-    r"wind: unknown key 'form'": {"wind": [{**GUST, "form": 1}]},
-    r"end = 1.5 must be a number in \[2, 100000\]": {"wind": [{**GUST, "end": 1.5}]},
-    r"speed = 99 must be a number in \[-80, 80\]": {"wind": [{**GUST, "speed": 99}]},
+    r"wind\[0\].kind = 'storm' must be one of gust, block": {"wind": [{**GUST, "kind": "storm"}]},
+    r"wind\[0\]: unknown key 'form'": {"wind": [{**GUST, "form": 1}]},
+    r"wind\[0\].end = 1.5 must be at least 2": {"wind": [{**GUST, "end": 1.5}]},
+    r"wind\[0\].speed = 99 must lie in \[-80, 80\]": {"wind": [{**GUST, "speed": 99}]},
 }
 
 
@@ -366,7 +368,7 @@ def test_bad_scenario_is_refused_with_file_key_value_and_bound(
 def test_scenario_that_refers_to_itself_is_refused(key: str, tmp_path: Path) -> None:
     file = str(tmp_path / "mine.yaml")
     itself = {"kind": "same_as", "scenario": file} if key == "path" else {"same_as": file}
-    with pytest.raises(ValueError, match=rf"mine.yaml: {key} is the same as another's: name that"):
+    with pytest.raises(ValueError, match=rf"mine.yaml: {key} refers to another scenario"):
         load_scenario(written(tmp_path, **{key: itself}), SIZE)
 
 

@@ -128,7 +128,7 @@ def _different_points(points: Array) -> Array:
     gap = np.hypot(*np.diff(points, axis=0).T)
     different = points[np.concatenate(([True], gap > MIN_GAP))[: len(points)]]
     if len(different) < 2:
-        raise ValueError(f"path: {len(different)} different points, must be at least 2")
+        raise ValueError(f"path: {len(different)} different points, at least 2 are needed")
     return np.asarray(different)
 
 
