@@ -10,6 +10,7 @@ field accepts. A key that occurs twice in a mapping is an error.
 """
 
 import math
+import os
 import re
 import types
 from collections.abc import Mapping
@@ -101,6 +102,11 @@ def shipped(folder: str) -> dict[str, Path]:
     """Return the YAML files that come with the package, by the name that a user types."""
     root = Path(str(resources.files("ampc_msgs_config"))) / "config" / folder
     return {file.stem: file for file in sorted(root.glob("*.yaml"))}
+
+
+def shipped_schema(name: str) -> Path:
+    """Return the file of a schema that comes with the package."""
+    return Path(str(resources.files("ampc_msgs_config"))) / "config" / "schemas" / f"{name}.json"
 
 
 def find(folder: str, name: str) -> Path:
@@ -241,6 +247,16 @@ def load(cls: type[T], file: Path, section: str = "") -> T:
     return build(cls, content[section], str(file), section)
 
 
+def schema_line(schema_file: Path, file: Path) -> str:
+    """Return the first line of a YAML file that names its schema for editors.
+
+    Args:
+        schema_file: JSON Schema of the kind of file.
+        file: YAML file that is to be written.
+    """
+    return f"# yaml-language-server: $schema={os.path.relpath(schema_file, file.parent)}"
+
+
 def schema(cls: type, title: str) -> dict[str, Any]:
     """Return the JSON Schema of the files that hold a record class.
 
@@ -312,9 +328,16 @@ def _rows(kind: Any, key: str, default: Any) -> list[Row]:
     bounds = ", ".join(extra.get("options", ()))
     if leaf_meta and leaf in (int, float):
         bounds = bounds_text(leaf_meta).partition("]")[0] + "]"
-    text = "required" if default is MISSING else "" if default is None else str(default)
+    text = "required" if default is MISSING else _value(default)
     what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
     return [Row(key, what, extra.get("unit", ""), bounds, text, extra.get("meaning", ""))]
+
+
+def _value(default: Any) -> str:
+    """Return a default value as it would stand in a YAML file."""
+    if default is None or default == {} or default == ():
+        return ""
+    return dump(default, default_flow_style=True).removesuffix("...\n").strip()
 
 
 def _leaf(kind: Any, meta: msgspec.Meta | None) -> tuple[str, Any, msgspec.Meta | None]:

@@ -88,14 +88,14 @@ class Checked:
 
 
 @cache
-def hints(cls: type) -> dict[str, Any]:
+def hints(cls: Any) -> dict[str, Any]:
     """Return the declared type of each field of a record class, with its annotations."""
     declared = get_type_hints(cls, include_extras=True)
     return {name: declared[name] for name in defaults(cls)}
 
 
 @cache
-def defaults(cls: type) -> dict[str, Any]:
+def defaults(cls: Any) -> dict[str, Any]:
     """Return the default of each field of a record class in order; MISSING: required."""
     if is_dataclass(cls):
         return {
@@ -260,7 +260,7 @@ def check_range(name: str, value: Any, declared: msgspec.Meta) -> None:
     convert(Annotated[float, declared], value, name)
 
 
-def units_of(cls: type) -> dict[str, str]:
+def units_of(cls: Any) -> dict[str, str]:
     """Return the units of the numbers of a record class."""
     metas = {name: unwrap(kind)[1] for name, kind in hints(cls).items()}
     return {name: (meta.extra or {}).get("unit", "") for name, meta in metas.items() if meta}

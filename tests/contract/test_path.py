@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.paths.path import (
-    LOST,
+    MAX_PROJECTION_DISTANCE,
     Path,
     Progress,
     cross_track_error,
@@ -230,7 +230,7 @@ def test_car_that_is_carried_away_is_caught_again() -> None:
     progress = Progress(path)
     progress.advance(10.0, 0.0)
     assert progress.advance(400.0, 1.0) == pytest.approx(400.0, abs=1e-6)
-    assert LOST < 390.0
+    assert MAX_PROJECTION_DISTANCE < 390.0
 
 
 def test_circuit_is_closed_and_goes_on_lap_after_lap() -> None:

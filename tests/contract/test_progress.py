@@ -16,7 +16,7 @@ from ampc_msgs_config.paths.path import (
     AHEAD,
     BEHIND,
     FIRST_CATCH,
-    LOST,
+    MAX_PROJECTION_DISTANCE,
     NOT_CAUGHT,
     Path,
     Progress,
@@ -56,7 +56,7 @@ def advance_by_arrays(path: Path, index: int | None, pose: Pose) -> tuple[float,
             window = [max(window[0], 0), min(window[1], len(path.x))]
         s = project(path, pose[0], pose[1], window[0], window[1])
         point = point_at(path, s)
-        if math.hypot(point.x - pose[0], point.y - pose[1]) <= LOST:
+        if math.hypot(point.x - pose[0], point.y - pose[1]) <= MAX_PROJECTION_DISTANCE:
             break
     nearest = round(s / path.spacing)
     return s, nearest if path.closed else min(max(nearest, 0), len(path.x) - 1)
