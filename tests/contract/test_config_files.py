@@ -52,9 +52,8 @@ def violations(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list
         return [each for several in found for each in several]
     if isinstance(value, list):
         items = schema.get("prefixItems") or [schema["items"]] * len(value)
-        return [
-            v for part, item in zip(value, items, strict=True) for v in violations(item, part, root)
-        ]
+        pairs = zip(items, value, strict=True)
+        return [each for item, part in pairs for each in violations(item, part, root)]
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         low, high = schema.get("minimum", -float("inf")), schema.get("maximum", float("inf"))
         return [] if low <= value <= high else [f"{value} is not in [{low}, {high}]"]
@@ -72,11 +71,8 @@ def test_shipped_file_satisfies_its_schema_and_a_wrong_one_does_not(kind: Kind, 
 
 @pytest.mark.parametrize("kind", KINDS, ids=NAMES)
 def test_every_parameter_has_a_meaning_and_every_number_bounds(kind: Kind) -> None:
-    rows = [
-        line.split(" | ")
-        for line in tables().split(f"## {kind.name}\n")[1].split("\n## ")[0].splitlines()
-        if line.startswith("| `")
-    ]
+    section = tables().split(f"## {kind.name}\n")[1].split("\n## ")[0]
+    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
     assert rows
     for _, what, _, bounds, _, meaning in rows:
         assert kind.name == "thresholds" or meaning.strip(" |")
