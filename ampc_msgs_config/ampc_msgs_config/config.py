@@ -12,25 +12,20 @@ field accepts. A key that occurs twice in a mapping is an error.
 import math
 import os
 import re
-import types
 from collections.abc import Mapping
 from dataclasses import MISSING
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
 
 from ampc_msgs_config.validation import (
-    bounds_text,
     convert,
     defaults,
     dotted,
     hints,
-    is_record,
-    tag_of,
-    unwrap,
 )
 
 T = TypeVar("T")
@@ -49,7 +44,6 @@ SCALARS = {
 }
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 """Dialect of the exported schemas."""
-TYPE_NAMES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 
 
 class Loader(yaml.SafeLoader):
@@ -283,70 +277,3 @@ def _json(value: Any) -> Any:
             if part != "" and not (key == "default" and part in (math.inf, -math.inf))
         }
     return [_json(part) for part in value] if isinstance(value, list | tuple) else value
-
-
-class Row(NamedTuple):
-    """One line of a parameter table."""
-
-    key: str
-    type: str
-    unit: str
-    bounds: str
-    default: str
-    meaning: str
-
-
-def parameter_rows(cls: type, key: str = "") -> list[Row]:
-    """Return the parameters of a record class, nested ones by their dotted keys.
-
-    Args:
-        cls: Record class.
-        key: Dotted key of the record.
-    """
-    return [
-        row
-        for name, kind in hints(cls).items()
-        for row in _rows(kind, dotted(key, name), defaults(cls)[name])
-    ]
-
-
-def _rows(kind: Any, key: str, default: Any) -> list[Row]:
-    inner, meta = unwrap(kind)
-    if get_origin(inner) is tuple and is_record(unwrap(get_args(inner)[0])[0]):
-        return parameter_rows(unwrap(get_args(inner)[0])[0], f"{key}[]")
-    if get_origin(inner) in (Union, types.UnionType):
-        members = [each for each in get_args(inner) if each is not type(None)]
-        return [row for each in members for row in _rows(each, key, default)]
-    if is_record(inner):
-        _, tag = tag_of(inner)
-        label = f"{key} ({tag})" if tag else key
-        empty = [Row(label, "mapping", "", "", "", _first_line(inner))] if tag else []
-        return empty + parameter_rows(inner, label)
-    extra = (meta.extra if meta else None) or {}
-    shape, leaf, leaf_meta = _leaf(inner, meta)
-    extra = {**((leaf_meta.extra if leaf_meta else None) or {}), **extra}
-    bounds = ", ".join(extra.get("options", ()))
-    if leaf_meta and leaf in (int, float):
-        bounds = bounds_text(leaf_meta).partition("]")[0] + "]"
-    text = "required" if default is MISSING else _value(default)
-    what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
-    return [Row(key, what, extra.get("unit", ""), bounds, text, extra.get("meaning", ""))]
-
-
-def _value(default: Any) -> str:
-    """Return a default value as it would stand in a YAML file."""
-    if default is None or default == {} or default == ():
-        return ""
-    return dump(default, default_flow_style=True).removesuffix("...\n").strip()
-
-
-def _leaf(kind: Any, meta: msgspec.Meta | None) -> tuple[str, Any, msgspec.Meta | None]:
-    """Return the shape of nested lists as text, and the type and declaration of their items."""
-    if get_origin(kind) is not tuple:
-        return "", kind, meta
-    shape, leaf, leaf_meta = _leaf(*unwrap(get_args(kind)[0]))
-    return f"list of {shape}", leaf, leaf_meta
-
-
-def _first_line(cls: type) -> str:
-    return (cls.__doc__ or "").partition("\n")[0]

@@ -21,17 +21,16 @@ class ChassisParameters(Checked):
     mass: Annotated[float, number(1.0, 1.0e5, "kg", "Mass, m.")]
     yaw_inertia: Annotated[float, number(0.01, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
     cg_to_front_axle: Annotated[
-        float,
-        number(0.05, 20.0, "m", "Distance from the centre of gravity to the front axle, l_f."),
+        float, number(0.05, 20.0, "m", "Centre of gravity to front axle, l_f.")
     ]
     cg_to_rear_axle: Annotated[
-        float, number(0.05, 20.0, "m", "Distance from the centre of gravity to the rear axle, l_r.")
+        float, number(0.05, 20.0, "m", "Centre of gravity to rear axle, l_r.")
     ]
     front_cornering_stiffness: Annotated[
-        float, number(1.0, 1.0e7, "N/rad", "Cornering stiffness of ONE front tyre, C_f.")
+        float, number(1.0, 1.0e7, "N/rad", "Stiffness of ONE front tyre, C_f.")
     ]
     rear_cornering_stiffness: Annotated[
-        float, number(1.0, 1.0e7, "N/rad", "Cornering stiffness of ONE rear tyre, C_r.")
+        float, number(1.0, 1.0e7, "N/rad", "Stiffness of ONE rear tyre, C_r.")
     ]
 
     @property
@@ -57,7 +56,7 @@ class SteeringParameters(Checked):
 
     max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest road-wheel angle.")]
     max_rate: Annotated[
-        float, number(0.0, math.inf, "rad/s", "Largest rate of the road-wheel angle; .inf: none.")
+        float, number(0.0, math.inf, "rad/s", "Largest rate of that angle; .inf: none.")
     ] = math.inf
     lag: Annotated[float, number(0.0, 5.0, "s", "Time constant of the first-order lag.")] = 0.0
     delay: Annotated[float, number(0.0, 2.0, "s", "Pure delay.")] = 0.0
@@ -68,73 +67,47 @@ class ControllerSettings(Checked):
     """Limits and solver of the controller; its gains are in the gain table."""
 
     sample_time: Annotated[float, number(0.001, 1.0, "s", "Period of the control loop, T.")] = 0.1
-    max_increment: Annotated[
-        float, number(0.0, 3.0, "rad per tick", "Largest change of the angle in one tick.")
-    ] = math.pi / 12
-    max_angle: Annotated[
-        float, number(0.0, 1.5, "rad", "Largest angle that the controller commands.")
-    ] = math.pi / 6
+    max_increment: Annotated[float, number(0.0, 3.0, "rad per tick", "Largest increment.")] = (
+        math.pi / 12
+    )
+    max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest commanded angle.")] = math.pi / 6
     max_output_error: Annotated[
-        float,
-        number(
-            0.0,
-            math.inf,
-            "m",
-            "Half-width of the soft lane about the reference, Eq. (15); .inf: no output rows.",
-        ),
+        float, number(0.0, math.inf, "m", "Half-width of the soft lane, Eq. (15); .inf: none.")
     ] = math.inf
     friction: Annotated[
-        float,
-        number(
-            0.05,
-            2.0,
-            "",
-            "Friction coefficient of the road in the controller's model; the bound of the angle "
-            "follows it.",
-        ),
+        float, number(0.05, 2.0, "", "Friction of the road in the controller's model.")
     ] = 0.9
-    slack_weight: Annotated[
-        float, number(1.0e-3, 1.0e9, "1/m^2", "Weight of the slack of the output rows.")
-    ] = 1.0e4
+    slack_weight: Annotated[float, number(1.0e-3, 1.0e9, "1/m^2", "Weight of the slack.")] = 1.0e4
     nominal_speed: Annotated[
-        float,
-        number(
-            0.0,
-            100.0,
-            "m/s",
-            "Speed of a model that does not adapt; 0: the model follows the measured speed.",
-        ),
+        float, number(0.0, 100.0, "m/s", "Speed of a model that does not adapt; 0: adaptive.")
     ] = 0.0
     solver: Annotated[
         str, choice(("active_set", "hildreth"), "Solver of the QP; the paper's is hildreth.")
     ] = "active_set"
     hildreth_sweeps: Annotated[
-        float, number(1, 1_000_000, "", "Largest number of sweeps of Hildreth's method.")
+        float, number(1, 1_000_000, "", "Largest number of Hildreth sweeps.")
     ] = 38
     hildreth_tolerance: Annotated[
-        float, number(0.0, 1.0, "", "Change of the multipliers at which Hildreth's method ends.")
+        float, number(0.0, 1.0, "", "Change of multipliers that ends Hildreth.")
     ] = 1.0e-7
     state_late: Annotated[
-        float,
-        number(
-            0.0, 10.0, "s", "Age of the state from which the steering continues on the last plan."
-        ),
+        float, number(0.0, 10.0, "s", "Age of the state at which the last plan takes over.")
     ] = 0.2
     state_lost: Annotated[
-        float, number(0.0, 10.0, "s", "Age of the state from which a stop is requested.")
+        float, number(0.0, 10.0, "s", "Age of the state that requests a stop.")
     ] = 0.5
     path_late: Annotated[
-        float, number(0.0, 3600.0, "s", "Age of the path from which a warning is published.")
+        float, number(0.0, 3600.0, "s", "Age of the path that raises a warning.")
     ] = 0.9
     path_lost: Annotated[
-        float, number(0.0, 3600.0, "s", "Age of the path from which a stop is requested.")
+        float, number(0.0, 3600.0, "s", "Age of the path that requests a stop.")
     ] = 2.0
-    look_ahead_time: Annotated[
-        float, number(0.0, 10.0, "s", "Pure pursuit: look-ahead distance divided by speed.")
-    ] = 0.6
-    min_look_ahead: Annotated[
-        float, number(0.1, 100.0, "m", "Pure pursuit: shortest look-ahead distance.")
-    ] = 4.0
+    look_ahead_time: Annotated[float, number(0.0, 10.0, "s", "Pure pursuit: look-ahead time.")] = (
+        0.6
+    )
+    min_look_ahead: Annotated[float, number(0.1, 100.0, "m", "Pure pursuit: least look-ahead.")] = (
+        4.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,12 +115,8 @@ class SizeParameters(Checked):
     """Outline of the car, for lanes and cones."""
 
     width: Annotated[float, number(0.1, 10.0, "m", "Width of the body.")]
-    front_overhang: Annotated[
-        float, number(0.0, 10.0, "m", "Distance from the front axle to the front bumper.")
-    ]
-    rear_overhang: Annotated[
-        float, number(0.0, 10.0, "m", "Distance from the rear axle to the rear bumper.")
-    ]
+    front_overhang: Annotated[float, number(0.0, 10.0, "m", "Front axle to front bumper.")]
+    rear_overhang: Annotated[float, number(0.0, 10.0, "m", "Rear axle to rear bumper.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,39 +134,16 @@ class GuardLimits(Checked):
     ]
     lateral_acceleration: tuple[
         Annotated[
-            float,
-            number(
-                0.1,
-                50.0,
-                "m/s^2",
-                "Largest lateral acceleration of the steady circle that belongs to the angle.",
-            ),
+            float, number(0.1, 50.0, "m/s^2", "Acceleration of the steady circle of the angle.")
         ],
         ...,
     ]
     lateral_jerk: tuple[
-        Annotated[
-            float,
-            number(
-                0.1,
-                1000.0,
-                "m/s^3",
-                "Largest change of that acceleration from turning the wheel alone.",
-            ),
-        ],
+        Annotated[float, number(0.1, 1000.0, "m/s^3", "Change of that acceleration by steering.")],
         ...,
     ]
     measured_step: tuple[
-        Annotated[
-            float,
-            number(
-                0.01,
-                3.0,
-                "rad",
-                "Largest distance of a command from the measured road-wheel angle.",
-            ),
-        ],
-        ...,
+        Annotated[float, number(0.01, 3.0, "rad", "Distance from the measured angle.")], ...
     ]
 
     def __post_init__(self) -> None:

@@ -25,9 +25,7 @@ class TyreParameters(Checked):
     """All four tyres; their cornering stiffness at the static load is in the chassis."""
 
     model: Annotated[str, choice(("pacejka", "linear"), "Force law of the tyres.")] = "pacejka"
-    friction: Annotated[
-        float, number(0.01, 3.0, "", "Friction coefficient at the static load, mu.")
-    ]
+    friction: Annotated[float, number(0.01, 3.0, "", "Friction at the static load, mu.")]
     shape: Annotated[float, number(1.0, 2.0, "", "Shape factor C of the Magic Formula.")] = 1.5
     curvature: Annotated[
         float, number(-10.0, 1.0, "", "Curvature factor E of the Magic Formula.")
@@ -36,13 +34,11 @@ class TyreParameters(Checked):
         float, number(0.0, 0.5, "", "Loss of mu when the load doubles, k_D.")
     ] = 0.1
     stiffest_load: Annotated[
-        float,
-        number(1.0, 10.0, "static loads", "Load at which the cornering stiffness is largest, p."),
+        float, number(1.0, 10.0, "static loads", "Load of the largest stiffness, p.")
     ] = 2.0
     relaxation_length: Annotated[float, number(0.01, 5.0, "m", "Relaxation length, sigma.")]
     parking_damping: Annotated[
-        float,
-        number(0.0, 1.0, "s", "Damping over stiffness of the tyre's lateral spring at standstill."),
+        float, number(0.0, 1.0, "s", "Damping over lateral stiffness at rest.")
     ] = 0.04
 
 
@@ -52,13 +48,8 @@ class BodyParameters(Checked):
 
     track: Annotated[float, number(0.05, 10.0, "m", "Track width of both axles.")]
     cg_height: Annotated[float, number(0.0, 5.0, "m", "Height of the centre of gravity.")]
-    front_roll_share: Annotated[
-        float, number(0.0, 1.0, "", "Share of the front axle in the roll stiffness.")
-    ]
-    load_lag: Annotated[
-        float,
-        number(0.01, 2.0, "s", "Time constant of the wheel loads after a change of acceleration."),
-    ] = 0.05
+    front_roll_share: Annotated[float, number(0.0, 1.0, "", "Front share of the roll stiffness.")]
+    load_lag: Annotated[float, number(0.01, 2.0, "s", "Time constant of the wheel loads.")] = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,17 +58,9 @@ class AerodynamicsParameters(Checked):
 
     air_density: Annotated[float, number(0.0, 10.0, "kg/m^3", "Density of the air.")] = 1.225
     drag_area: Annotated[float, number(0.0, 100.0, "m^2", "Drag coefficient times frontal area.")]
-    side_area: Annotated[
-        float, number(0.0, 100.0, "m^2", "Side force coefficient times lateral area.")
-    ]
+    side_area: Annotated[float, number(0.0, 100.0, "m^2", "Side coefficient times lateral area.")]
     side_force_arm: Annotated[
-        float,
-        number(
-            -10.0,
-            10.0,
-            "m",
-            "Distance from the centre of gravity forward to the point of the side force.",
-        ),
+        float, number(-10.0, 10.0, "m", "Centre of gravity forward to the side force.")
     ]
 
 
@@ -88,24 +71,13 @@ class PowertrainParameters(Checked):
     max_drive_force: Annotated[float, number(0.0, 1.0e6, "N", "Largest drive force.")]
     max_power: Annotated[float, number(0.0, 1.0e7, "W", "Largest power of the engine.")]
     max_brake_force: Annotated[float, number(0.0, 1.0e6, "N", "Largest brake force.")]
-    front_drive_share: Annotated[
-        float, number(0.0, 1.0, "", "Share of the front axle in the drive force.")
-    ]
-    front_brake_share: Annotated[
-        float, number(0.0, 1.0, "", "Share of the front axle in the brake force.")
-    ]
+    front_drive_share: Annotated[float, number(0.0, 1.0, "", "Front share of the drive force.")]
+    front_brake_share: Annotated[float, number(0.0, 1.0, "", "Front share of the brake force.")]
     rolling_resistance: Annotated[
         float, number(0.0, 0.5, "", "Rolling resistance divided by weight.")
     ]
     driver_time_constant: Annotated[
-        float,
-        number(
-            0.05,
-            10.0,
-            "s",
-            "Time constant with which the driver closes a speed error; the planner looks ahead by "
-            "the default.",
-        ),
+        float, number(0.05, 10.0, "s", "Time constant of the driver's speed control.")
     ] = SPEED_PREVIEW
 
 
@@ -119,7 +91,7 @@ class MeasurementNoise(Checked):
     lateral_velocity: Annotated[
         float, number(0.0, 10.0, "m/s", "Noise of the lateral velocity.")
     ] = 0.0
-    speed: Annotated[float, number(0.0, 10.0, "m/s", "Noise of the longitudinal velocity.")] = 0.0
+    speed: Annotated[float, number(0.0, 10.0, "m/s", "Noise of the longitudinal speed.")] = 0.0
 
 
 class Vehicle(NamedTuple):

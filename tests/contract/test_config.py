@@ -1,4 +1,4 @@
-"""YAML <-> dataclass: shipped files load, and bad ones are refused by file, key, value, bound."""
+"""Configuration layer: shipped files load, bad ones are rejected with file, key, value, bound."""
 
 import math
 from dataclasses import astuple, dataclass

@@ -36,8 +36,8 @@ def violations(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rpartition("/")[2]]
     if "anyOf" in schema:
-        found = [violations(each, value, root) for each in schema["anyOf"]]
-        return [] if [] in found else found[0]
+        actual = [violations(each, value, root) for each in schema["anyOf"]]
+        return [] if [] in actual else actual[0]
     kinds = {"object": dict, "array": list, "number": (int, float), "integer": int}
     kinds |= {"string": str, "boolean": bool, "null": type(None)}
     if "type" in schema and not isinstance(value, kinds[schema["type"]]):
@@ -46,10 +46,10 @@ def violations(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list
         return [f"{value!r} is not in {schema['enum']}"]
     if isinstance(value, dict) and "properties" in schema:
         known = schema["properties"]
-        found = [[f"unknown {key}"] for key in value if key not in known]
-        found += [[f"missing {key}"] for key in schema.get("required", ()) if key not in value]
-        found += [violations(known[k], part, root) for k, part in value.items() if k in known]
-        return [each for several in found for each in several]
+        actual = [[f"unknown {key}"] for key in value if key not in known]
+        actual += [[f"missing {key}"] for key in schema.get("required", ()) if key not in value]
+        actual += [violations(known[k], part, root) for k, part in value.items() if k in known]
+        return [each for several in actual for each in several]
     if isinstance(value, list):
         items = schema.get("prefixItems") or [schema["items"]] * len(value)
         pairs = zip(items, value, strict=True)

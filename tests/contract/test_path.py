@@ -1,4 +1,4 @@
-"""Paths: geometry against curves that are known exactly, projection against brute force."""
+"""Paths: geometry against exact curves, projection against brute force."""
 
 import math
 from typing import Any
@@ -27,19 +27,19 @@ both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def arc(radius: float, angle: float, count: int = 60) -> Array:
-    """Give points of an arc that starts in the origin along x; a negative radius turns right."""
+    """Return points of an arc that starts in the origin along x; a negative radius turns right."""
     turned = np.linspace(0.0, angle, count, dtype=np.float64)
     return np.column_stack((abs(radius) * np.sin(turned), radius * (1 - np.cos(turned))))
 
 
 def wave(count: int = 200) -> Array:
-    """Give points of two periods of a sine of 3 m and 60 m."""
+    """Return points of two periods of a sine of 3 m and 60 m."""
     x = np.linspace(0.0, 120.0, count, dtype=np.float64)
     return np.column_stack((x, 3.0 * np.sin(math.tau * x / 60.0)))
 
 
 def figure_of_eight() -> Array:
-    """Give points of a curve that crosses itself in the origin at right angles."""
+    """Return points of a curve that crosses itself in the origin at right angles."""
     t = np.linspace(-0.9 * math.pi, 0.9 * math.pi, 400, dtype=np.float64)
     return 60.0 * np.column_stack((np.sin(t), np.sin(t) * np.cos(t)))
 
@@ -50,7 +50,7 @@ def moved(points: Array, turn: float = 0.0, by: tuple[float, float] = (0.0, 0.0)
 
 
 def state_at(path: Path, s: float, left: float = 0.0) -> VehicleState:
-    """Give a car that heads along the path at arc length s, some way to its left [m]."""
+    """Return a car that heads along the path at arc length s, some way to its left [m]."""
     x, y, yaw, _ = point_at(path, s)
     x, y = x - left * math.sin(yaw), y + left * math.cos(yaw)
     return VehicleState(0, x, y, wrap_angle(yaw), 9.0, 0.0, 0.0)
@@ -140,15 +140,15 @@ def test_longest_path_stays_within_memory() -> None:
 def test_projection_is_the_nearest_point_of_a_dense_search(s: float, left: float) -> None:
     path = make_path(wave())
     x, y, *_ = state_at(path, s, left)[1:]
-    found = project(path, x, y, 0, len(path.x))
+    actual = project(path, x, y, 0, len(path.x))
     dense = np.linspace(-10.0, path.length + 10.0, 140_001)
     points = np.array([point_at(path, float(t))[:2] for t in dense[::50]])
     coarse = dense[::50][np.argmin(np.hypot(points[:, 0] - x, points[:, 1] - y))]
     fine = np.linspace(coarse - 0.1, coarse + 0.1, 401)
     points = np.array([point_at(path, float(t))[:2] for t in fine])
     distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
-    nearest = point_at(path, found)
-    assert found == pytest.approx(fine[np.argmin(distance)], abs=0.02)
+    nearest = point_at(path, actual)
+    assert actual == pytest.approx(fine[np.argmin(distance)], abs=0.02)
     assert math.hypot(nearest.x - x, nearest.y - y) == pytest.approx(distance.min(), abs=1e-3)
 
 
@@ -196,8 +196,8 @@ def test_progress_decides_where_a_path_crosses_itself(yaw_known: bool) -> None:
     progress = Progress(path)
     for s in np.arange(0.0, path.length, 1.0):
         car = state_at(path, float(s), left=0.3)
-        found = progress.advance(car.x, car.y, car.yaw if yaw_known else math.nan)
-        assert found == pytest.approx(s, abs=0.1)
+        actual = progress.advance(car.x, car.y, car.yaw if yaw_known else math.nan)
+        assert actual == pytest.approx(s, abs=0.1)
 
 
 def test_car_is_first_caught_by_a_part_of_the_path_that_leads_its_way() -> None:

@@ -1,4 +1,4 @@
-"""Scenarios: the shipped ones against their definition, and what is said about bad ones."""
+"""Scenarios: the shipped ones against their definition, and the errors of bad ones."""
 
 import math
 from collections.abc import Callable
@@ -38,14 +38,14 @@ def shipped_scenario(name: str) -> Scenario:
 
 
 def tanh_lane_change(X: Array) -> Array:
-    """Give Y(X) of sc1_falcone."""
+    """Return Y(X) of sc1_falcone."""
     z1 = 2.4 / 25 * (X - 27.19) - 1.2
     z2 = 2.4 / 21.95 * (X - 56.46) - 1.2
     return np.asarray(4.05 / 2 * (1 + np.tanh(z1)) - 5.7 / 2 * (1 + np.tanh(z2)))
 
 
 def moves(starts: list[float], lengths: list[float], ends: list[float], X: Array) -> Array:
-    """Give Y(X) that moves with q from one place to the next."""
+    """Return Y(X) that moves with q from one place to the next."""
     steps = np.diff(ends, prepend=0.0)
     return np.asarray(
         sum(d * q((X - a) / n) for a, n, d in zip(starts, lengths, steps, strict=True))
@@ -53,7 +53,7 @@ def moves(starts: list[float], lengths: list[float], ends: list[float], X: Array
 
 
 def sc3(X: Array) -> Array:
-    """Give Y(X) of sc3_constant."""
+    """Return Y(X) of sc3_constant."""
     starts, lengths = [90.0, 150, 215, 300, 365, 430], [50.0, 60, 70, 85, 50, 40]
     return moves(starts, lengths, [10.0, -8, 15, -15, 5, 0], X)
 
@@ -243,6 +243,34 @@ def test_start_of_a_path_that_begins_with_the_same_point_twice_heads_along_it() 
     assert Scenario("up", points, profile, 1.0).start[2] == pytest.approx(math.pi / 2)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2, -2.5])
+@pytest.mark.parametrize("offset", [1.5, -1.5])
+def test_start_offset_is_to_the_left_of_a_road_in_any_direction(turn: float, offset: float) -> None:
+    along = np.array([math.cos(turn), math.sin(turn)])
+    points = np.outer(np.arange(0.0, 50.0, 5.0), along) + np.array([3.0, -4.0])
+    profile = SpeedProfile(False, np.array([0.0]), np.array([5.0]))
+    x, y, yaw = Scenario("road", points, profile, 1.0, start_offset=offset).start
+    assert yaw == pytest.approx(turn)
+    assert (x, y) == pytest.approx((3.0 - offset * along[1], -4.0 + offset * along[0]))
+
+
+def test_sine_begins_without_a_kink_of_heading_and_with_its_full_amplitude_after_a_wave() -> None:
+    scenario = shipped_scenario("sine")
+    X, Y = scenario.points.T
+    assert abs(np.gradient(Y, X)[:3]).max() < 1e-3
+    full = X >= 80.0
+    np.testing.assert_allclose(Y[full], 2.0 * np.sin(math.tau * X[full] / 80.0), atol=1e-9)
+
+
+def test_path_of_a_scenario_is_fitted_once_for_equal_points() -> None:
+    scenario = shipped_scenario("sc1")
+    copy = scenario._replace(points=scenario.points.copy(), duration=1.0)
+    assert copy.path is scenario.path
+    for cached, fitted in zip(scenario.path, make_path(scenario.points), strict=True):
+        np.testing.assert_array_equal(cached, fitted)
+    assert scenario._replace(points=scenario.points + 1.0).path is not scenario.path
+
+
 def test_constant_speed_replaces_the_profile() -> None:
     scenario = load_scenario("sc2", SIZE, speed=4.0)
     assert {speed_at(scenario.speed, t) for t in (0.0, 7.0, 99.0)} == {4.0}
@@ -258,7 +286,7 @@ def test_speed_over_time_stays_within_its_points_and_its_ends_are_held(time: flo
 
 
 def at(time: float, x: float = 0.0) -> VehicleState:
-    """Give a car at a time [s] and a place on the x axis [m]."""
+    """Return a car at a time [s] and a place on the x axis [m]."""
     return VehicleState(round(time * NANOSECONDS), x, 0.0, 0.0, 5.0, 0.0, 0.0)
 
 
@@ -271,7 +299,7 @@ def test_planner_reads_time_from_its_first_state_and_ahead_by_the_preview() -> N
 
 
 def over_distance(speeds: list[float]) -> SpeedPlanner:
-    """Give a planner of a straight road with these speeds every 10 m."""
+    """Return a planner of a straight road with these speeds every 10 m."""
     place = np.arange(0.0, 10.0 * len(speeds), 10.0, dtype=np.float64)
     points = np.column_stack((place, 0.0 * place))
     profile = SpeedProfile(True, place, np.array(speeds))

@@ -1,4 +1,4 @@
-"""The gain table: which gains it gives where, and what it says about a bad file."""
+"""Gain table: interpolation, hysteresis, and the errors of bad files."""
 
 import math
 from pathlib import Path
@@ -21,7 +21,7 @@ many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def two_speeds() -> GainTable:
-    """Give a table with SLOW at 5 m/s and FAST at 15 m/s."""
+    """Return a table with SLOW at 5 m/s and FAST at 15 m/s."""
     return GainTable([5.0, 15.0], [0.0], [SLOW, FAST])
 
 
@@ -70,10 +70,10 @@ def test_outside_the_grid_the_edge_counts_and_the_lookup_says_so(
     speed: float, reference: float, outside: bool
 ) -> None:
     table = GainTable([5.0, 15.0], [-1.0, 1.0], [SLOW, SLOW, FAST, FAST])
-    found = table.lookup(speed, reference)
-    assert found.outside is outside
+    actual = table.lookup(speed, reference)
+    assert actual.outside is outside
     edge = table.lookup(min(max(speed, 5.0), 15.0), min(max(reference, -1.0), 1.0))
-    assert found.gains == edge.gains
+    assert actual.gains == edge.gains
 
 
 def test_axis_of_one_place_is_never_left() -> None:
@@ -104,13 +104,13 @@ def test_integers_change_once_another_node_is_clearly_nearer() -> None:
 
 
 def content(**changes: Any) -> dict[str, Any]:
-    """Give the content of a good file with some keys changed; None removes one."""
+    """Return the content of a good file with some keys changed; None removes one."""
     good = {"speed": [5.0, 15.0], "gains": [dict(SLOW._asdict()), dict(FAST._asdict())]}
     return {key: value for key, value in {**good, **changes}.items() if value is not None}
 
 
 def with_gain(key: str, value: Any) -> dict[str, Any]:
-    """Give the content of a file whose second entry has one bad value."""
+    """Return the content of a file whose second entry has one bad value."""
     return content(gains=[dict(SLOW._asdict()), {**FAST._asdict(), key: value}])
 
 

@@ -1,4 +1,4 @@
-"""A simulated drive as text: read back it is the same, bit for bit; what is wrong is named."""
+"""A simulated drive as text is restored bit for bit; errors name key and value."""
 
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,13 @@ WHERE = "run/bag: simulator/configuration"
 
 
 def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> Configuration:
-    """Give the configuration of a shipped scenario and car."""
+    """Return the configuration of a shipped scenario and car."""
     car = load_vehicle(find("vehicles", vehicle))
     return Configuration(car, load_scenario(scenario, car.size), **options)
 
 
 def same_bits(a: Scenario, b: Scenario) -> bool:
-    """Tell whether two scenarios are equal in every bit."""
+    """Return whether two scenarios are equal in every bit."""
     rows = [(a.points, b.points), (a.speed.at, b.speed.at), (a.speed.speed, b.speed.speed)]
     rest = [(s.name, s.duration, s.wind, s.lanes, s.start_offset, s.start) for s in (a, b)]
     kinds = [(s.speed.over_distance, s.speed.period) for s in (a, b)]

@@ -49,11 +49,9 @@ class GainSet(Checked):
         float, number(1, 200, "ticks", "Control horizon, N_c, at most N_p.", whole=True)
     ]
     laguerre_terms: Annotated[
-        float, number(1, 20, "", "Number of Laguerre functions, N, at most N_p.", whole=True)
+        float, number(1, 20, "", "Laguerre functions, N, at most N_p.", whole=True)
     ]
-    laguerre_pole: Annotated[
-        float, number(0.0, 0.999, "", "Pole of the Laguerre functions, alpha.")
-    ]
+    laguerre_pole: Annotated[float, number(0.0, 0.999, "", "Laguerre pole, alpha.")]
     output_weight: Annotated[float, number(1.0e-9, 1.0e9, "", "Output weight, Q.")]
     increment_weight: Annotated[float, number(1.0e-9, 1.0e9, "", "Increment weight, R.")]
 

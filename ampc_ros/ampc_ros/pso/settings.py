@@ -50,18 +50,10 @@ class PsoSettings(Checked):
     ] = "proposed"
     particles: Annotated[int, number(2, 1_000_000, "", "Number of particles.")] = 20
     generations: Annotated[
-        int,
-        number(
-            0,
-            1_000_000,
-            "",
-            "Moves of the swarm after the first, random one: (generations + 1) x particles "
-            "evaluations.",
-        ),
+        int, number(0, 1_000_000, "", "Moves of the swarm after the first, random one.")
     ] = 15
     schedule_length: Annotated[
-        int,
-        number(0, 1_000_000, "", "G of Eqs. (32)-(34); 0: the number of generations."),
+        int, number(0, 1_000_000, "", "G of Eqs. (32)-(34); 0: the number of generations.")
     ] = 0
     max_inertia: Annotated[float, number(0.0, 2.0, "", "Largest inertia.")] = 0.99
     min_inertia: Annotated[float, number(0.0, 2.0, "", "Smallest inertia.")] = 0.1
@@ -73,10 +65,7 @@ class PsoSettings(Checked):
     max_velocity: Annotated[
         float,
         number(
-            1.0e-9,
-            math.inf,
-            "ranges per generation",
-            "Limit of every velocity component, as a share of high - low; infinite: none.",
+            1.0e-9, math.inf, "ranges per generation", "Limit of each velocity; infinite: none."
         ),
     ] = 0.2
     boundary: Annotated[

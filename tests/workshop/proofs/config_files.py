@@ -7,13 +7,26 @@ shipped YAML files and `ampc_ros/doc/parameters.md`. With `--output FOLDER` it w
 import argparse
 import json
 import sys
+import types
 from collections.abc import Iterable
+from dataclasses import MISSING
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Union, get_args, get_origin
 
-from ampc_msgs_config.config import parameter_rows, schema
+import msgspec
+
+from ampc_msgs_config.config import dump, schema
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.scenarios.scenario import ScenarioFile
+from ampc_msgs_config.validation import (
+    bounds_text,
+    defaults,
+    dotted,
+    hints,
+    is_record,
+    tag_of,
+    unwrap,
+)
 from ampc_ros.mpc.gain_table import GainTableFile
 from launch_scripts.faults.schedule import Plan
 from launch_scripts.reporting.summary import Thresholds
@@ -23,6 +36,9 @@ ROOT = Path(__file__).resolve().parents[3]
 CONFIG = Path("ampc_msgs_config/ampc_msgs_config/config")
 SCHEMAS = CONFIG / "schemas"
 PAGE = Path("ampc_ros/doc/parameters.md")
+
+
+TYPE_NAMES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 
 
 class Kind(NamedTuple):
@@ -58,6 +74,73 @@ check the files. Each shipped YAML file names its JSON Schema in the first line,
 complete and check the keys. Units are SI. `[]` marks the entries of a list. An infinite bound
 allows `.inf`.
 """
+
+
+class Row(NamedTuple):
+    """One line of a parameter table."""
+
+    key: str
+    type: str
+    unit: str
+    bounds: str
+    default: str
+    meaning: str
+
+
+def parameter_rows(cls: type, key: str = "") -> list[Row]:
+    """Return the parameters of a record class, nested ones by their dotted keys.
+
+    Args:
+        cls: Record class.
+        key: Dotted key of the record.
+    """
+    return [
+        row
+        for name, kind in hints(cls).items()
+        for row in _rows(kind, dotted(key, name), defaults(cls)[name])
+    ]
+
+
+def _rows(kind: Any, key: str, default: Any) -> list[Row]:
+    inner, meta = unwrap(kind)
+    if get_origin(inner) is tuple and is_record(unwrap(get_args(inner)[0])[0]):
+        return parameter_rows(unwrap(get_args(inner)[0])[0], f"{key}[]")
+    if get_origin(inner) in (Union, types.UnionType):
+        members = [each for each in get_args(inner) if each is not type(None)]
+        return [row for each in members for row in _rows(each, key, default)]
+    if is_record(inner):
+        _, tag = tag_of(inner)
+        label = f"{key} ({tag})" if tag else key
+        empty = [Row(label, "mapping", "", "", "", _first_line(inner))] if tag else []
+        return empty + parameter_rows(inner, label)
+    extra = (meta.extra if meta else None) or {}
+    shape, leaf, leaf_meta = _leaf(inner, meta)
+    extra = {**((leaf_meta.extra if leaf_meta else None) or {}), **extra}
+    bounds = ", ".join(extra.get("options", ()))
+    if leaf_meta and leaf in (int, float):
+        bounds = bounds_text(leaf_meta).partition("]")[0] + "]"
+    text = "required" if default is MISSING else _value(default)
+    what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
+    return [Row(key, what, extra.get("unit", ""), bounds, text, extra.get("meaning", ""))]
+
+
+def _value(default: Any) -> str:
+    """Return a default value as it would stand in a YAML file."""
+    if default is None or default == {} or default == ():
+        return ""
+    return dump(default, default_flow_style=True).removesuffix("...\n").strip()
+
+
+def _leaf(kind: Any, meta: msgspec.Meta | None) -> tuple[str, Any, msgspec.Meta | None]:
+    """Return the shape of nested lists as text, and the type and declaration of their items."""
+    if get_origin(kind) is not tuple:
+        return "", kind, meta
+    shape, leaf, leaf_meta = _leaf(*unwrap(get_args(kind)[0]))
+    return f"list of {shape}", leaf, leaf_meta
+
+
+def _first_line(cls: type) -> str:
+    return (cls.__doc__ or "").partition("\n")[0]
 
 
 def schema_text(kind: Kind) -> str:
