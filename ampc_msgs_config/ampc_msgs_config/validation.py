@@ -8,7 +8,7 @@ the dotted key, the value and the bound to the message.
 
 import math
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from typing import (
@@ -27,6 +27,10 @@ from typing import (
 import msgspec
 
 T = TypeVar("T")
+Fields = Callable[[Any], dict[str, Any]]
+"""Function from a record class to something for each of its fields."""
+cached: Callable[[Fields], Fields] = cache
+"""`functools.cache`, typed for classes, which are hashable although type checkers doubt it."""
 LONGEST_VALUE = 60
 """Longest text of a value in a message [characters]."""
 
@@ -87,14 +91,14 @@ class Checked:
             object.__setattr__(self, name, convert(kind, getattr(self, name), name))
 
 
-@cache
+@cached
 def hints(cls: Any) -> dict[str, Any]:
     """Return the declared type of each field of a record class, with its annotations."""
     declared = get_type_hints(cls, include_extras=True)
     return {name: declared[name] for name in defaults(cls)}
 
 
-@cache
+@cached
 def defaults(cls: Any) -> dict[str, Any]:
     """Return the default of each field of a record class in order; MISSING: required."""
     if is_dataclass(cls):

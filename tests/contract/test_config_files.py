@@ -38,7 +38,7 @@ def violations(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list
     if "anyOf" in schema:
         actual = [violations(each, value, root) for each in schema["anyOf"]]
         return [] if [] in actual else actual[0]
-    kinds = {"object": dict, "array": list, "number": (int, float), "integer": int}
+    kinds: dict[str, Any] = {"object": dict, "array": list, "number": (int, float), "integer": int}
     kinds |= {"string": str, "boolean": bool, "null": type(None)}
     if "type" in schema and not isinstance(value, kinds[schema["type"]]):
         return [f"{value!r} is no {schema['type']}"]
