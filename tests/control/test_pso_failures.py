@@ -86,7 +86,7 @@ def test_bounds_that_cannot_be_are_named(bounds: tuple[Dimension, ...], message:
     ("chosen", "message"),
     [
         ({"particles": 1}, r"particles = 1 must lie in \[2, 1e\+06\]"),
-        ({"particles": 20.5}, "particles = 20.5 must be an integer"),
+        ({"particles": 20.5}, "particles = 20.5 must be a whole number"),
         ({"generations": -1}, r"generations = -1 must lie in \[0, 1e\+06\]"),
         ({"max_velocity": 0.0}, "max_velocity = 0.0 must lie in"),
         ({"max_velocity": math.nan}, "max_velocity = nan must lie in"),
