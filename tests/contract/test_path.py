@@ -140,15 +140,15 @@ def test_longest_path_stays_within_memory() -> None:
 def test_projection_is_the_nearest_point_of_a_dense_search(s: float, left: float) -> None:
     path = make_path(wave())
     x, y, *_ = state_at(path, s, left)[1:]
-    actual = project(path, x, y, 0, len(path.x))
+    found = project(path, x, y, 0, len(path.x))
     dense = np.linspace(-10.0, path.length + 10.0, 140_001)
     points = np.array([point_at(path, float(t))[:2] for t in dense[::50]])
     coarse = dense[::50][np.argmin(np.hypot(points[:, 0] - x, points[:, 1] - y))]
     fine = np.linspace(coarse - 0.1, coarse + 0.1, 401)
     points = np.array([point_at(path, float(t))[:2] for t in fine])
     distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
-    nearest = point_at(path, actual)
-    assert actual == pytest.approx(fine[np.argmin(distance)], abs=0.02)
+    nearest = point_at(path, found)
+    assert found == pytest.approx(fine[np.argmin(distance)], abs=0.02)
     assert math.hypot(nearest.x - x, nearest.y - y) == pytest.approx(distance.min(), abs=1e-3)
 
 
