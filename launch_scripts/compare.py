@@ -18,9 +18,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters, check_range
+from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.validation import check_range, number
 from ampc_ros.configuration import CONTROLLERS, default_table
 from launch_scripts.comparing.cells import (
     QUANTITIES,
@@ -42,8 +43,8 @@ WIDTH = 120
 """Of the printed table, at least [characters]."""
 WRONG = 2
 """Exit code where an option is wrong."""
-SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
-LAPS = {"low": 1, "high": 1000, "unit": ""}
+SEEDS = number(0, 2**31 - 1)
+LAPS = number(1, 1000)
 
 
 def roads() -> list[str]:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from ampc_msgs_config.config import shipped
+from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.pso.settings import PsoSettings
 from ampc_ros.pso.swarm import Swarm
 from launch_scripts.tuning.files import Checkpoints, write_whole
@@ -163,7 +163,8 @@ def run(chosen: argparse.Namespace, console: Console) -> None:
     console.print(lines_of(report))
     console.print(report.verdict)
     proof = as_json(report) | {"task": provenance_of(task, report, command)}
-    write_whole(output, text_of(task, report, command))
+    first = schema_line(shipped_schema("gains"), output)
+    write_whole(output, f"{first}\n{text_of(task, report, command)}")
     write_whole(output.with_suffix(".json"), json.dumps(proof, indent=1, allow_nan=False) + "\n")
     checkpoints.clear()
     console.print(f"written: {output}, and the proof beside it", markup=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc import constraints, hildreth, laguerre, model, prediction
 from ampc_ros.mpc.active_set import solution_of
 from ampc_ros.mpc.internal_model import Actuator

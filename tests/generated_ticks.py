@@ -11,9 +11,9 @@ import numpy as np
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc

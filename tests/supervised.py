@@ -6,13 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
-from ampc_msgs_config.types import (
-    NANOSECONDS,
-    Supervision,
-    as_received,
-)
+from ampc_msgs_config.types import NANOSECONDS, Supervision
 from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Decision, Supervisor
 from launch_scripts.run.simulated import SimulatedDrive

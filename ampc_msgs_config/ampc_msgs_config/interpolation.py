@@ -1,16 +1,16 @@
-"""Tables that compiled code reads."""
+"""Bisection and linear interpolation for compiled code."""
 
 from ampc_msgs_config.compiled import compiled
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 
 
 @compiled
 def section(place: float, at: Array) -> int:
-    """Give the i with at[i] <= place < at[i + 1] by bisection; the first or last beyond the ends.
+    """Return the i with at[i] <= place < at[i + 1] by bisection; first or last beyond the ends.
 
     Args:
-        place: Where to look.
-        at: (n,) increasing.
+        place: Value on the axis.
+        at: (n,) axis, increasing.
     """
     low, high = 0, len(at) - 1
     while high - low > 1:
@@ -24,7 +24,7 @@ def section(place: float, at: Array) -> int:
 
 @compiled
 def interpolate(place: float, at: Array, values: Array) -> float:
-    """Join values (n,) at increasing places (n,) by straight lines, bit for bit as np.interp."""
+    """Return values (n,) at increasing places (n,), interpolated bit for bit as np.interp."""
     last = len(at) - 1
     if last == 0 or place <= at[0]:
         return float(values[0])

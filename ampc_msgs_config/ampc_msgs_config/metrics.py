@@ -1,4 +1,4 @@
-"""Judges a finished drive."""
+"""Metrics of a finished drive."""
 
 import math
 from typing import NamedTuple
@@ -6,35 +6,36 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ampc_msgs_config.paths.path import Array, Path, Progress
+from ampc_msgs_config.frames import at_distance
+from ampc_msgs_config.paths.path import Path, Progress
 from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 REVERSAL_BAND = math.radians(0.2)
-"""Smaller movements of the road wheel are no reversal; 3 deg at a steering wheel geared 16 to 1."""
+"""Least road-wheel movement of a reversal, 3 deg at a steering wheel geared 16 to 1 [rad]."""
 LOST = 10.0
 """Cross-track error beyond which a car counts as lost [m]."""
 
 
 class Drive(NamedTuple):
-    """What was measured and commanded at each control tick of a drive."""
+    """Measured states and commands at the control ticks of a drive."""
 
     states: list[VehicleState]
-    """State that each command answers, at `base_link`."""
+    """State for each command, at `base_link`."""
     steering: Array
     """Commanded angle (n,) [rad]."""
     solve_time: Array
-    """Time that the controller took, (m,) [s]."""
+    """Computing time of the controller (m,) [s]."""
 
 
 def errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
-    """Give cross-track [m] and heading error [rad] of the centre of gravity at each tick (n, 2)."""
+    """Return cross-track [m] and heading error [rad] of the centre of gravity by tick (n, 2)."""
     progress = Progress(path)
     return np.array([progress.errors(at_distance(s, base_link_to_cg)) for s in drive.states])
 
 
 def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
-    """Give Y - Y_ref(X) (n,) [m], the paper's error; nan where the path is no graph over X."""
+    """Return Y - Y_ref(X) (n,) [m], the paper's error; nan where the path is no function of X."""
     try:
         frame = path_frame(path)
     except ValueError:
@@ -45,24 +46,24 @@ def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
 
 
 def ticks(drive: Drive) -> Array:
-    """Give the time of each tick since the first (n,) [s]."""
+    """Return the time of each tick since the first (n,) [s]."""
     stamps = np.array([state.stamp_ns for state in drive.states])
     return np.asarray((stamps - stamps[0]) / NANOSECONDS)
 
 
 def rms(values: Array) -> float:
-    """Give the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def missed_ticks(time: Array, period: float) -> int:
-    """Count the ticks that are missing between stamps (n,) [s] of a controller of this period."""
+    """Count the missing ticks between stamps (n,) [s] of a controller with this period [s]."""
     gaps = np.rint(np.diff(time) / period).astype(int)
     return int(np.maximum(gaps - 1, 0).sum())
 
 
 def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:
-    """Count how often a wheel (n,) [rad] turns back by more than `band` [rad]."""
+    """Count the direction changes of a wheel angle (n,) [rad] by more than `band` [rad]."""
     count, direction, low, high = 0, 0, math.inf, -math.inf
     for value in angle.tolist():
         low, high = min(low, value), max(high, value)
@@ -76,24 +77,24 @@ def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:
 
 
 def time_where(time: Array, active: NDArray[np.bool_]) -> float:
-    """Give how long something was active [s]; each tick (n,) [s] counts up to the next one."""
+    """Return the total time of active ticks (n,) [s]; each tick lasts until the next one."""
     lasting = np.diff(time)
     return float(lasting[active[:-1]].sum())
 
 
 def distance_driven(time: Array, speed: Array) -> float:
-    """Give the integral of the speed (n,) [m/s] over time (n,) [s], in [m]."""
+    """Return the integral of the speed (n,) [m/s] over time (n,) [s], in [m]."""
     return float(np.sum(np.diff(time) * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2))
 
 
 def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
-    """Give the numbers of the result table; the unit stands in the name where it is not SI.
+    """Return the metrics of the result table; the unit is in the name where it is not SI.
 
     Args:
         drive: At least two ticks.
-        path: The reference.
-        base_link_to_cg: From the point that the states describe to the centre of gravity [m].
-        period: Of the controller [s].
+        path: Reference path.
+        base_link_to_cg: Distance from the point of the states forward to the centre of gravity [m].
+        period: Period of the controller [s].
     """
     error, heading = errors(drive, path, base_link_to_cg).T
     lateral = lateral_errors(drive, path, base_link_to_cg)

@@ -1,167 +1,158 @@
-"""Parameters that check themselves at birth: frozen dataclasses with a range for every number.
+"""Parameters of car and controller: frozen dataclasses that check themselves at construction.
 
 `dataclasses.astuple` of these is what compiled code receives and unpacks in the same order.
 """
 
 import math
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import astuple, dataclass, fields
 from itertools import pairwise
-from typing import Any
+from typing import Annotated
 
+from ampc_msgs_config.validation import Checked, choice, number
 
-def number(low: float, high: float, unit: str, default: Any = MISSING) -> Any:
-    """Declare a dataclass field in [low, high]; infinite bounds themselves are allowed values."""
-    return field(default=default, metadata={"low": low, "high": high, "unit": unit})
-
-
-def row(low: float, high: float, unit: str) -> Any:
-    """Declare a dataclass field that takes one or more numbers in [low, high]."""
-    return field(metadata={"low": low, "high": high, "unit": unit, "row": True})
-
-
-def choice(*options: str, default: Any = MISSING) -> Any:
-    """Declare a dataclass field that takes one of a few words."""
-    return field(default=default, metadata={"options": options})
-
-
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """Base of all parameters: refuses, by name, value and bound, what lies outside its range."""
-
-    def __post_init__(self) -> None:
-        """Check every field against its metadata."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if "options" in item.metadata and value not in item.metadata["options"]:
-                raise ValueError(
-                    f"{item.name} = {value!r} must be one of {', '.join(item.metadata['options'])}"
-                )
-            if "row" in item.metadata:
-                check_row(item.name, value, item.metadata)
-            elif "low" in item.metadata:
-                check_range(item.name, value, item.metadata)
-
-
-def check_row(name: str, values: Any, metadata: Any) -> None:
-    """Raise a ValueError with name, index, value and bound unless all values are in range."""
-    if not isinstance(values, (list, tuple)) or not values:
-        raise ValueError(f"{name} = {values!r} must be a list of numbers")
-    for i, value in enumerate(values):
-        check_range(f"{name}[{i}]", value, metadata)
-
-
-def check_range(name: str, value: Any, metadata: Any) -> None:
-    """Raise a ValueError with name, value and bound unless low <= value <= high."""
-    low, high, unit = metadata["low"], metadata["high"], metadata["unit"]
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        hint = " (YAML needs a point in the mantissa: 1.0e-3)" if isinstance(value, str) else ""
-        raise ValueError(f"{name} = {value!r} must be a number{hint}")
-    if math.isnan(value) or not low <= value <= high:
-        raise ValueError(f"{name} = {value!r} must lie in [{low:g}, {high:g}] {unit}".rstrip())
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChassisParameters(Checked):
-    """Single-track view of a car, Table 3 of the paper: m, I_z, l_f, l_r, C_f, C_r."""
+    """Single-track model of a car, Table 3 of the paper: m, I_z, l_f, l_r, C_f, C_r."""
 
-    mass: float = number(1.0, 1.0e5, "kg")
-    yaw_inertia: float = number(0.01, 1.0e6, "kg m^2")
-    cg_to_front_axle: float = number(0.05, 20.0, "m")
-    cg_to_rear_axle: float = number(0.05, 20.0, "m")
-    front_cornering_stiffness: float = number(1.0, 1.0e7, "N/rad for ONE tyre")
-    rear_cornering_stiffness: float = number(1.0, 1.0e7, "N/rad for ONE tyre")
+    mass: Annotated[float, number(1.0, 1.0e5, "kg", "Mass, m.")]
+    yaw_inertia: Annotated[float, number(0.01, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
+    cg_to_front_axle: Annotated[
+        float, number(0.05, 20.0, "m", "Centre of gravity to front axle, l_f.")
+    ]
+    cg_to_rear_axle: Annotated[
+        float, number(0.05, 20.0, "m", "Centre of gravity to rear axle, l_r.")
+    ]
+    front_cornering_stiffness: Annotated[
+        float, number(1.0, 1.0e7, "N/rad", "Stiffness of ONE front tyre, C_f.")
+    ]
+    rear_cornering_stiffness: Annotated[
+        float, number(1.0, 1.0e7, "N/rad", "Stiffness of ONE rear tyre, C_r.")
+    ]
 
     @property
     def wheelbase(self) -> float:
-        """L = l_f + l_r [m]."""
+        """Wheelbase L = l_f + l_r [m]."""
         return self.cg_to_front_axle + self.cg_to_rear_axle
 
     @property
     def understeer_gradient(self) -> float:
-        """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]; positive: the car understeers."""
-        front = self.cg_to_rear_axle / (2 * self.front_cornering_stiffness)
-        rear = self.cg_to_front_axle / (2 * self.rear_cornering_stiffness)
-        return self.mass / self.wheelbase * (front - rear)
+        """Understeer gradient K_us [rad s^2/m]; positive: the car understeers."""
+        return understeer_gradient(astuple(self))
+
+
+def understeer_gradient(vehicle: tuple[float, ...]) -> float:
+    """Return K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) of m, I_z, l_f, l_r, C_f, C_r [rad s^2/m]."""
+    m, _, l_f, l_r, C_f, C_r = vehicle
+    return m / (l_f + l_r) * (l_r / (2 * C_f) - l_f / (2 * C_r))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SteeringParameters(Checked):
     """Steering actuator between the commanded and the real road-wheel angle."""
 
-    max_angle: float = number(0.0, 1.5, "rad")
-    max_rate: float = number(0.0, math.inf, "rad/s", math.inf)
-    lag: float = number(0.0, 5.0, "s", 0.0)
-    """Time constant of the first-order lag."""
-    delay: float = number(0.0, 2.0, "s", 0.0)
-    """Pure delay."""
+    max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest road-wheel angle.")]
+    max_rate: Annotated[
+        float, number(0.0, math.inf, "rad/s", "Largest rate of that angle; .inf: none.")
+    ] = math.inf
+    lag: Annotated[float, number(0.0, 5.0, "s", "Time constant of the first-order lag.")] = 0.0
+    delay: Annotated[float, number(0.0, 2.0, "s", "Pure delay.")] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSettings(Checked):
     """Limits and solver of the controller; its gains are in the gain table."""
 
-    sample_time: float = number(0.001, 1.0, "s", 0.1)
-    max_increment: float = number(0.0, 3.0, "rad per tick", math.pi / 12)
-    max_angle: float = number(0.0, 1.5, "rad", math.pi / 6)
-    max_output_error: float = number(0.0, math.inf, "m", math.inf)
-    """Half-width of the soft lane about the reference, Eq. (15); infinite: no output rows."""
-    friction: float = number(0.05, 2.0, "", 0.9)
-    """Of the road as the controller believes it to be; the bound of the angle follows it."""
-    slack_weight: float = number(1.0e-3, 1.0e9, "1/m^2", 1.0e4)
-    nominal_speed: float = number(0.0, 100.0, "m/s", 0.0)
-    """Speed of a model that does not adapt; 0: the model follows the measured speed."""
-    solver: str = choice("active_set", "hildreth", default="active_set")
-    hildreth_sweeps: float = number(1, 1_000_000, "", 38)
-    hildreth_tolerance: float = number(0.0, 1.0, "", 1.0e-7)
-    state_late: float = number(0.0, 10.0, "s", 0.2)
-    """Age of the state from which the steering goes on by the last plan."""
-    state_lost: float = number(0.0, 10.0, "s", 0.5)
-    """Age of the state from which the car is asked to stop."""
-    path_late: float = number(0.0, 3600.0, "s", 0.9)
-    """Age of the path from which a warning is given."""
-    path_lost: float = number(0.0, 3600.0, "s", 2.0)
-    """Age of the path from which the car is asked to stop."""
-    look_ahead_time: float = number(0.0, 10.0, "s", 0.6)
-    """Pure pursuit: look-ahead distance per speed."""
-    min_look_ahead: float = number(0.1, 100.0, "m", 4.0)
-    """Pure pursuit: shortest look-ahead distance."""
+    sample_time: Annotated[float, number(0.001, 1.0, "s", "Period of the control loop, T.")] = 0.1
+    max_increment: Annotated[float, number(0.0, 3.0, "rad per tick", "Largest increment.")] = (
+        math.pi / 12
+    )
+    max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest commanded angle.")] = math.pi / 6
+    max_output_error: Annotated[
+        float, number(0.0, math.inf, "m", "Half-width of the soft lane, Eq. (15); .inf: none.")
+    ] = math.inf
+    friction: Annotated[
+        float, number(0.05, 2.0, "", "Friction of the road in the controller's model.")
+    ] = 0.9
+    slack_weight: Annotated[float, number(1.0e-3, 1.0e9, "1/m^2", "Weight of the slack.")] = 1.0e4
+    nominal_speed: Annotated[
+        float, number(0.0, 100.0, "m/s", "Speed of a model that does not adapt; 0: adaptive.")
+    ] = 0.0
+    solver: Annotated[
+        str, choice(("active_set", "hildreth"), "Solver of the QP; the paper's is hildreth.")
+    ] = "active_set"
+    hildreth_sweeps: Annotated[
+        float, number(1, 1_000_000, "", "Largest number of Hildreth sweeps.")
+    ] = 38
+    hildreth_tolerance: Annotated[
+        float, number(0.0, 1.0, "", "Change of multipliers that ends Hildreth.")
+    ] = 1.0e-7
+    state_late: Annotated[
+        float, number(0.0, 10.0, "s", "Age of the state at which the last plan takes over.")
+    ] = 0.2
+    state_lost: Annotated[
+        float, number(0.0, 10.0, "s", "Age of the state that requests a stop.")
+    ] = 0.5
+    path_late: Annotated[
+        float, number(0.0, 3600.0, "s", "Age of the path that raises a warning.")
+    ] = 0.9
+    path_lost: Annotated[
+        float, number(0.0, 3600.0, "s", "Age of the path that requests a stop.")
+    ] = 2.0
+    look_ahead_time: Annotated[float, number(0.0, 10.0, "s", "Pure pursuit: look-ahead time.")] = (
+        0.6
+    )
+    min_look_ahead: Annotated[float, number(0.1, 100.0, "m", "Pure pursuit: least look-ahead.")] = (
+        4.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizeParameters(Checked):
     """Outline of the car, for lanes and cones."""
 
-    width: float = number(0.1, 10.0, "m")
-    front_overhang: float = number(0.0, 10.0, "m")
-    """From the front axle to the front bumper."""
-    rear_overhang: float = number(0.0, 10.0, "m")
-    """From the rear axle to the rear bumper."""
+    width: Annotated[float, number(0.1, 10.0, "m", "Width of the body.")]
+    front_overhang: Annotated[float, number(0.0, 10.0, "m", "Front axle to front bumper.")]
+    rear_overhang: Annotated[float, number(0.0, 10.0, "m", "Rear axle to rear bumper.")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GuardLimits(Checked):
-    """What a steering command has to keep to, whoever computed it, by speed.
+    """Limits of the steering command by speed, whichever controller computed it.
 
-    Each row has one value for each speed; between the speeds it is linear, beyond them it is held.
+    Each row has one value for each speed. Values are linear between the speeds and constant beyond
+    them.
     """
 
-    speed: tuple[float, ...] = row(0.0, 100.0, "m/s")
-    """Increasing."""
-    max_angle: tuple[float, ...] = row(0.01, 1.5, "rad")
-    max_rate: tuple[float, ...] = row(0.01, 20.0, "rad/s")
-    lateral_acceleration: tuple[float, ...] = row(0.1, 50.0, "m/s^2")
-    """Of the steady circle that belongs to the angle."""
-    lateral_jerk: tuple[float, ...] = row(0.1, 1000.0, "m/s^3")
-    """By which that acceleration changes, from turning the wheel alone."""
-    measured_step: tuple[float, ...] = row(0.01, 3.0, "rad")
-    """Farthest that a command may move away from the measured road-wheel angle."""
+    speed: tuple[Annotated[float, number(0.0, 100.0, "m/s", "Speeds, increasing.")], ...]
+    max_angle: tuple[Annotated[float, number(0.01, 1.5, "rad", "Largest road-wheel angle.")], ...]
+    max_rate: tuple[
+        Annotated[float, number(0.01, 20.0, "rad/s", "Largest rate of the road-wheel angle.")], ...
+    ]
+    lateral_acceleration: tuple[
+        Annotated[
+            float, number(0.1, 50.0, "m/s^2", "Acceleration of the steady circle of the angle.")
+        ],
+        ...,
+    ]
+    lateral_jerk: tuple[
+        Annotated[float, number(0.1, 1000.0, "m/s^3", "Change of that acceleration by steering.")],
+        ...,
+    ]
+    measured_step: tuple[
+        Annotated[float, number(0.01, 3.0, "rad", "Distance from the measured angle.")], ...
+    ]
 
     def __post_init__(self) -> None:
-        """Check the rows, each for itself and against the speeds, and make tuples of them."""
+        """Check each row, and its length and order against the speeds."""
         super().__post_init__()
+        if not self.speed:
+            raise ValueError("speed = [] must be a list of 1 or more entries")
         for item in fields(self):
-            values = tuple(float(value) for value in getattr(self, item.name))
-            object.__setattr__(self, item.name, values)
+            values = getattr(self, item.name)
             if len(values) != len(self.speed):
                 raise ValueError(
                     f"{item.name} = {list(values)} must have {len(self.speed)} values, as speed has"

@@ -1,4 +1,4 @@
-"""Topics, quality of service, and the way between messages and our types. ROS starts here."""
+"""Conversion between ROS messages and the types of the project; names and QoS of the topics."""
 
 import math
 from collections.abc import Sequence
@@ -8,54 +8,19 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
-from numpy.typing import NDArray
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from ampc_msgs_config.frames import quaternion_from_yaw, yaw_from_quaternion
+from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
+from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
+from ampc_msgs_config.topics import BASE_LINK, MAP, STEERING_JOINT, TICK_QUANTITIES
 from ampc_msgs_config.types import (
     NANOSECONDS,
+    QUATERNION_LENGTH,
+    Array,
     Command,
-    Diagnosis,
-    Supervision,
     VehicleState,
-    quaternion_from_yaw,
-    yaw_from_quaternion,
 )
-
-ODOM = "odom"
-REFERENCE_PATH = "reference_path"
-TARGET_SPEED = "target_speed"
-STEERING_COMMAND = "steering_command"
-STEERING_STATE = "steering_state"
-PREDICTED_PATH = "predicted_path"
-WIND = "wind"
-STOP_REQUEST = "stop_request"
-"""Latched std_msgs/Bool: the controller asks whoever drives to stop."""
-TICK = "controller/tick"
-"""What a tick used and decided, by name in one sensor_msgs/JointState, stamped as its command."""
-CONFIGURATION = "configuration"
-"""Below each node: latched std_msgs/String, a YAML document from which the run can be repeated."""
-MARKERS = "markers"
-FAULTY = "faulty/"
-"""Before the names of inputs that an injector of faults has passed on to the controller."""
-CLOCK = "/clock"
-DIAGNOSTICS = "/diagnostics"
-PARAMETER_EVENTS = "/parameter_events"
-ROSOUT = "/rosout"
-TF = "/tf"
-TF_STATIC = "/tf_static"
-DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
-"""Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
-ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
-"""What has been counted since the controller was configured."""
-TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
-"""Names in `controller/tick`."""
-QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
-CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
-
-MAP = "map"
-BASE_LINK = "base_link"
-STEERING_JOINT = "front_steering"
 
 ODOM_FIELDS = (
     "pose.pose.position.x",
@@ -65,43 +30,27 @@ ODOM_FIELDS = (
     "twist.twist.linear.y",
     "twist.twist.angular.z",
 )
-"""Where the numbers of a VehicleState after its stamp come from."""
-UNIT = (0.9, 1.1)
-"""Length of a quaternion that was meant to be a rotation."""
+"""Message fields of the numbers of a VehicleState after its stamp."""
 MAX_STEERING = math.pi / 2
-"""Larger road-wheel angles are refused [rad]."""
+"""Greatest accepted road-wheel angle [rad]."""
 MAX_SPEED = 100.0
-"""Larger target speeds are refused [m/s]."""
-
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Subscribers of measurements: a late sample is worth nothing."""
-RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-"""Publishers, and subscribers that want all: so deep that a recorder may be kept waiting for
-seconds while a drive in lock-step runs ten times as fast as real time."""
-COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""Whoever acts on a command acts on the newest."""
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""The path, a configuration, a request to stop: who comes late gets it too."""
+"""Greatest accepted target speed [m/s]."""
 
 
 class Stamped(NamedTuple):
-    """A number and the time to which it belongs."""
+    """Number with its time."""
 
     stamp_ns: int
     value: float
 
 
 def time_message(stamp_ns: int) -> Time:
-    """Give nanoseconds as a ROS time."""
+    """Return nanoseconds as a ROS time."""
     return Time(sec=stamp_ns // NANOSECONDS, nanosec=stamp_ns % NANOSECONDS)
 
 
 def nanoseconds(stamp: Time) -> int:
-    """Give a ROS time as nanoseconds."""
+    """Return a ROS time as nanoseconds."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
@@ -122,12 +71,12 @@ def vehicle_state(message: Odometry) -> VehicleState:
     """Unpack a state.
 
     Raises:
-        ValueError: Another frame than `map`, a number that is not finite, or a quaternion that is
-            far from a unit one; with the field's name, its value and the bound.
+        ValueError: Another frame than `map`, a number that is not finite, or a quaternion far from
+            unit length; with the field's name, its value and the bound.
     """
     require_map("odom: header", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
-    low, high = UNIT
+    low, high = QUATERNION_LENGTH
     if not low * low <= q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w <= high * high:
         numbers = f"({q.x:g}, {q.y:g}, {q.z:g}, {q.w:g})"
         length = f"must have a length in [{low:g}, {high:g}]"
@@ -153,8 +102,8 @@ def require_map(where: str, frame_id: str) -> None:
         raise ValueError(f"{where}.frame_id = {frame_id!r} must be {MAP!r}")
 
 
-def path_message(points: NDArray[np.float64], stamp_ns: int) -> Path:
-    """Pack points (n, 2) in `map` [m], each heading for the next."""
+def path_message(points: Array, stamp_ns: int) -> Path:
+    """Pack points (n, 2) in `map` [m], each oriented towards the next."""
     message = Path()
     message.header.frame_id, message.header.stamp = MAP, time_message(stamp_ns)
     steps = np.diff(points, axis=0, append=2 * points[-1:] - points[-2:-1])
@@ -171,13 +120,13 @@ def path_points(message: Path) -> list[tuple[float, float]]:
     """Unpack the positions of a path [m].
 
     Raises:
-        ValueError: The path, or a pose that tells a frame, is in another one than `map`, or a
-            position is not finite; with the field's name, its value and the bound.
+        ValueError: The frame of the path or of a pose is not `map`, or a position is not finite;
+            with the field's name, its value and the bound.
     """
     require_map("reference_path: header", message.header.frame_id)
     points = []
     for i, pose in enumerate(message.poses):
-        if pose.header.frame_id:  # mostly left empty
+        if pose.header.frame_id:  # usually empty
             require_map(f"reference_path: poses[{i}].header", pose.header.frame_id)
         x, y = pose.pose.position.x, pose.pose.position.y
         if not (math.isfinite(x) and math.isfinite(y)):
@@ -225,7 +174,7 @@ def steering_angle(message: JointState) -> Stamped:
     """Unpack a road-wheel angle [rad].
 
     Raises:
-        ValueError: The message does not hold one angle in [-MAX_STEERING, MAX_STEERING].
+        ValueError: The message does not hold exactly one angle in [-MAX_STEERING, MAX_STEERING].
     """
     angles = list(message.position)
     if len(angles) != 1:

@@ -1,24 +1,22 @@
-"""All that a controller is made of, as values: what a run was made with, and may be made with anew.
+"""Serialisable configuration of a controller, complete enough to rebuild it exactly.
 
-As YAML text it goes over a latched topic, and so into every recording.
+As YAML text it is published on a latched topic, and so becomes part of every recording.
 """
 
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from ampc_msgs_config.config import build, find, load, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
-    Checked,
     ControllerSettings,
     GuardLimits,
     SteeringParameters,
-    check_range,
 )
 from ampc_msgs_config.scenarios.scenario_yaml import document, read_document
-from ampc_ros.mpc.gain_table import read_gain_table
+from ampc_msgs_config.validation import Checked, choice, number
+from ampc_ros.mpc.gain_table import gain_table, read_gain_table
 
 CONTROLLERS = {
     "preview": "adaptive MPC on the path ahead, with the actuator in its model",
@@ -27,13 +25,13 @@ CONTROLLERS = {
     "pure_pursuit": "geometric baseline on the rear axle",
 }
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
-"""Gains that hold for any car; `default_table` knows better ones."""
+"""Gains for any car; `default_table` returns tuned ones where they exist."""
 CLASSIC_SPEED = 9.0
-"""Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
+"""Speed of the classic MPC's model, that of the paper's Sc1 [m/s]."""
 
 
 class Choices(NamedTuple):
-    """What a user chooses, by shipped names or files."""
+    """Selection of a user, by shipped names or files."""
 
     controller: str = "preview"
     vehicle: str = "paper"
@@ -42,25 +40,25 @@ class Choices(NamedTuple):
     """Empty: see `default_table`."""
     guard: str = "road"
     base_link_to_cg: float | None = None
-    """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
+    """Distance from the point of `odom` to the centre of gravity; None: from the rear axle [m]."""
     static_path: bool = False
-    """The path is published once and holds until the next one: it does not grow old."""
+    """Whether the path is published once and does not age."""
     simulated_time: bool = False
-    """Time that goes back means a simulated car that is at its start again."""
+    """Whether time that goes back means a simulated car that is at its start again."""
 
 
 class Configuration(NamedTuple):
-    """What was chosen, read and checked."""
+    """Content of the selected files, checked."""
 
-    controller: str
+    controller: Annotated[str, choice(tuple(CONTROLLERS))]
     chassis: ChassisParameters
     steering: SteeringParameters
     settings: ControllerSettings
     guard: GuardLimits
     gains: dict[str, Any]
     """Content of a gain table; empty for a controller without one."""
-    base_link_to_cg: float
-    """From the point that `odom` describes forward to the centre of gravity [m]."""
+    base_link_to_cg: Annotated[float, number(-20.0, 20.0, "m")]
+    """Distance from the point of `odom` forward to the centre of gravity [m]."""
     static_path: bool
     simulated_time: bool
 
@@ -76,23 +74,18 @@ PARTS: dict[str, type[Checked]] = {
     "settings": ControllerSettings,
     "guard": GuardLimits,
 }
-
-
-TO_CG = {"low": -20.0, "high": 20.0, "unit": "m"}
-"""Bounds of `base_link_to_cg`."""
-KINDS = {"number": int, "gains": dict, "static_path": bool, "simulated_time": bool}
-KIND_NAMES = {int: "a whole number", dict: "a mapping", bool: "true or false"}
+"""Parts of a configuration that are parameter classes."""
 
 
 def default_table(controller: str, vehicle: str) -> str:
-    """Give the shipped gains for a vehicle: `preview_paper` where they are tuned for that one."""
+    """Return the shipped gains for a vehicle: `preview_paper` if tuned for it, else `preview`."""
     name = DEFAULT_TABLES[controller]
     tuned = f"{name}_{vehicle}"
     return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
 
 
 def configuration(choices: Choices) -> Configuration:
-    """Read what a user chose.
+    """Load the files of a selection.
 
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
@@ -124,7 +117,7 @@ def check_controller(name: str) -> None:
 
 
 def gain_file(choices: Choices) -> Path | None:
-    """Give the file of the gains, or None for a controller without gains."""
+    """Return the file of the gains, or None for a controller without gains."""
     if choices.controller not in DEFAULT_TABLES:
         return None
     name = choices.gain_table or default_table(choices.controller, choices.vehicle)
@@ -135,8 +128,8 @@ def to_yaml(config: Configuration, number: int) -> str:
     """Write a configuration as text that `from_yaml` reads back, number for number.
 
     Args:
-        config: What to write.
-        number: Counts the configurations of a run; each tick names the one that it used.
+        config: Configuration.
+        number: Count of the configurations of a run; each tick publishes the one that it used.
     """
     items = config._asdict().items()
     return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
@@ -146,27 +139,14 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
     """Read a configuration and its number.
 
     Args:
-        text: What `to_yaml` wrote.
-        where: It comes from, for the message.
+        text: Text that `to_yaml` wrote.
+        where: Source of the text, for the message.
 
     Raises:
-        ValueError: Names place, key, value and bound.
+        ValueError: Source, key, value and bound.
     """
-    content = read_document(text, where, Configuration._fields)
-    check_plain(content, where)
-    values = {key: content[key] for key in Configuration._fields}
-    for key, cls in PARTS.items():
-        values[key] = build(cls, values[key], f"{where}: {key}")
-    return Configuration(**values), content["number"]
-
-
-def check_plain(content: Mapping[str, Any], where: str) -> None:
-    """Raise a ValueError, with place, key and value, unless all that is no part is of its kind."""
-    try:
-        check_controller(content["controller"])
-        check_range("base_link_to_cg", content["base_link_to_cg"], TO_CG)
-        for key, kind in KINDS.items():
-            if not isinstance(content[key], kind):
-                raise ValueError(f"{key} = {content[key]!r} must be {KIND_NAMES[kind]}")
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from error
+    content, number = read_document(text, where)
+    config = build(Configuration, content, where)
+    if config.gains:
+        gain_table(config.gains, where, "gains")
+    return config, number

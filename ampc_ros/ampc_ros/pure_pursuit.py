@@ -2,9 +2,10 @@
 
 import math
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path, Progress, point_at
-from ampc_msgs_config.types import Command, Diagnosis, VehicleState, at_distance
+from ampc_msgs_config.types import Command, Diagnosis, VehicleState
 
 
 class PurePursuit:

@@ -8,12 +8,11 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.config import parse
 from ampc_msgs_config.recording.message_types import TYPES
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.types import NANOSECONDS, Array
 from launch_scripts.bags.bag import is_complete, read
 from launch_scripts.bags.bag_topics import topics
 from launch_scripts.bags.columns import Collector, Column, Stamps
@@ -202,11 +201,7 @@ def configurations(texts: Mapping[str, str], notes: list[str]) -> dict[str, dict
     found = {}
     for node, text in texts.items():
         try:
-            content = yaml.safe_load(text)
-        except (yaml.YAMLError, RecursionError):
-            content = None
-        if isinstance(content, dict):
-            found[node] = content
-        else:
-            notes.append(f"Left out: {node}/{ros.CONFIGURATION} is no YAML mapping.")
+            found[node] = parse(text, f"{node}/{ros.CONFIGURATION}")
+        except ValueError as error:
+            notes.append(f"Left out: {error}.")
     return found

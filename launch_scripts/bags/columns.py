@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.types import NANOSECONDS, Array
 from launch_scripts.bags.bag import Entry
 
 MAX_PREDICTIONS = 1000

@@ -7,10 +7,9 @@ import numpy as np
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path import Path as ReferencePath
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 
 SOLVE_TIME = "solve_time"

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import LOST, Drive, errors, evaluate, ticks
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import Controller, make_controller
 from launch_scripts.run.simulated import SimulatedDrive
@@ -171,7 +171,7 @@ def drive_cell(contender: Contender, scenario: Scenario, conditions: Conditions)
 def judge(label: str, simulation: Watched, finished: Drive) -> Cell:
     """Give the numbers of a drive, in which the states are the real ones."""
     scenario, vehicle = simulation.scenario, simulation.vehicle
-    path, to_cg = make_path(scenario.points), vehicle.chassis.cg_to_rear_axle
+    path, to_cg = scenario.path, vehicle.chassis.cg_to_rear_axle
     error = errors(finished, path, to_cg)[:, 0]
     time = ticks(finished)
     swing = [state.v_x * state.yaw_rate for state in finished.states]

@@ -11,8 +11,9 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from scipy.ndimage import maximum_filter1d
 
 from ampc_msgs_config.metrics import ticks
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_frame import along_chord, path_frame
+from ampc_msgs_config.types import Array
 from launch_scripts.comparing.cells import QUANTITIES, Cell, Quantity, best_of
 from launch_scripts.comparing.table import Comparison, number, shared
 from launch_scripts.reporting.heat_map import Matrix, Square, draw

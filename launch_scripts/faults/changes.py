@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, wrap_angle
+from ampc_msgs_config.frames import wrap_angle
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from launch_scripts.faults.messages import Memory, Message
 
 HEADING_NOISE = 0.1

@@ -1,100 +1,83 @@
-"""Faults as data: what goes wrong, when, for how long; and the stream of messages under them."""
+"""Fault schedule of a drive, and the stream of messages to which it is applied."""
 
 import heapq
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import build, find, read
-from ampc_msgs_config.parameters import Checked, check_range, choice, number
+from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.validation import Checked, check_range, choice, described, number
 from launch_scripts.faults.kinds import KINDS
 from launch_scripts.faults.messages import KEPT, Memory, Message, Window
 
-SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
-MOST = 10_000
-"""Faults in a file."""
+SEED = number(0, 2**31 - 1, "", "Seed of the faults.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(Checked):
     """One fault; times count from the start of the drive."""
 
-    kind: str = choice(*KINDS)
-    start: float = number(0.0, 1.0e5, "s")
-    duration: float = number(1.0e-3, 1.0e5, "s")
-    amount: float | None = None
-    """How much; each kind has its own meaning, unit and default."""
-    field: str = choice(*VehicleState._fields[1:], default="x")
-    """Of the state, for `nan`."""
+    kind: Annotated[str, choice(tuple(KINDS), "Kind of the fault.")]
+    start: Annotated[float, number(0.0, 1.0e5, "s", "Time at which the fault begins.")]
+    duration: Annotated[float, number(1.0e-3, 1.0e5, "s", "Duration of the fault.")]
+    amount: (
+        Annotated[
+            float,
+            number(
+                -1.0e6, 1.0e6, "", "Size; meaning, unit, bounds and default depend on the kind."
+            ),
+        ]
+        | None
+    ) = None
+    field: Annotated[
+        str, choice(VehicleState._fields[1:], "Field of the state, for the kind nan.")
+    ] = "x"
 
     def __post_init__(self) -> None:
-        """Check, with the bounds of the kind; an amount that is left out is the kind's own."""
+        """Check the fields by the bounds of the kind, and set its default amount."""
         super().__post_init__()
         allowed = KINDS[self.kind].amount
         if allowed is None:
             if self.amount is not None:
-                raise ValueError(f"amount = {self.amount!r}: {self.kind} has none")
+                raise ValueError(f"amount = {self.amount!r} is not allowed: {self.kind} has none")
         elif self.amount is None:
             object.__setattr__(self, "amount", allowed.default)
         else:
-            check_range("amount", self.amount, allowed._asdict())
+            check_range("amount", self.amount, number(allowed.low, allowed.high, allowed.unit))
 
     @property
     def window(self) -> Window:
-        """When it is there."""
+        """Time window of the fault."""
         start_ns = round(self.start * NANOSECONDS)
         return Window(start_ns, start_ns + round(self.duration * NANOSECONDS))
 
     @property
     def mirrored(self) -> "Fault":
-        """The same fault with left and right exchanged."""
+        """Fault with left and right exchanged."""
         if self.amount is None or not KINDS[self.kind].sided:
             return self
         return replace(self, amount=-self.amount)
 
 
 class Plan(NamedTuple):
-    """All that is to go wrong in a drive."""
+    """Faults of a drive."""
 
-    faults: tuple[Fault, ...]
-    seed: int = 0
+    faults: Annotated[tuple[Fault, ...], described("Faults.", most=10_000)]
+    seed: Annotated[int, SEED] = 0
 
 
 def load_plan(name: str) -> Plan:
-    """Read a file of faults, or a shipped one.
+    """Load a fault file by shipped name or path.
 
     Raises:
-        ValueError: Names file, key, value and bound.
+        ValueError: File, key, value and bound.
     """
-    file = find("faults", name)
-    content = read(file)
-    for key in content:
-        if key not in ("seed", "faults"):
-            raise ValueError(f"{file}: unknown key {key!r}; known are seed, faults")
-    entries, seed = content.get("faults"), content.get("seed", 0)
-    if not isinstance(entries, list) or not 0 < len(entries) <= MOST:
-        raise ValueError(f"{file}: faults must be a list of 1 to {MOST} faults")
-    return Plan(
-        tuple(build(Fault, each, f"{file}: faults[{i}]") for i, each in enumerate(entries)),
-        checked_seed(file, seed),
-    )
-
-
-def checked_seed(file: Path, seed: object) -> int:
-    """Give a seed back, if it is one."""
-    try:
-        check_range("seed", seed, SEEDS)
-        if not isinstance(seed, int):
-            raise ValueError(f"seed = {seed!r} must be a whole number")
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
-    return seed
+    return load(Plan, find("faults", name))
 
 
 class Active(NamedTuple):

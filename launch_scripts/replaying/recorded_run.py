@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import parsed
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.config import parse
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import read
 from launch_scripts.bags.bag_columns import namespace_of
@@ -183,5 +182,5 @@ def resolved(answer: Answer, states: Stamped, paths: Stamped) -> RecordedTick | 
 def configurations(bag: File, texts: Sequence[str]) -> tuple[dict[int, Configuration], str]:
     """Give what the controller was made of, by number, and the version that recorded it."""
     config = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts]
-    version = str(parsed(texts[0], "").get("version", "")) if texts else ""
+    version = str(parse(texts[0], "").get("version", "")) if texts else ""
     return {number: each for each, number in config}, version

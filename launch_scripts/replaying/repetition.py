@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from typing import NamedTuple
 
-import yaml
-
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, parse
+from ampc_msgs_config.validation import convert, hints
 from ampc_ros.configuration import (
     CLASSIC_SPEED,
     DEFAULT_TABLES,
@@ -132,12 +131,13 @@ def with_value(text: str) -> Change:
     if not equals or (part, name) not in KEYS:
         known = ", ".join(".".join(filter(None, pair)) for pair in KEYS)
         raise ValueError(f"--set {text}: must be key=value; keys are {known}")
-    value = yaml.safe_load(value_text)
+    value = parse(f"value: {value_text}", f"--set {text}")["value"]
 
     def change(config: Configuration) -> Configuration:
         try:
             if not part:
-                return config._replace(**{name: value})
+                kind = hints(Configuration)[name]
+                return config._replace(**{name: convert(kind, value, name)})
             return config._replace(**{part: replace(getattr(config, part), **{name: value})})
         except ValueError as error:
             raise ValueError(f"--set {text}: {error}") from error

@@ -8,13 +8,13 @@ import numpy as np
 from ampc_msgs_config.config import build
 from ampc_msgs_config.parameters import (
     ChassisParameters,
-    Checked,
     ControllerSettings,
     GuardLimits,
     SizeParameters,
     SteeringParameters,
 )
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked
 from ampc_ros.mpc.internal_model import limits_of
 from ampc_ros.preview.model import angle_bound
 from ampc_ros.preview.programme import FRICTION_SHARE

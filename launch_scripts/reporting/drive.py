@@ -7,9 +7,8 @@ import numpy as np
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.metrics import Drive, errors
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.types import Array, VehicleState
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
 from launch_scripts.reporting.context import ReportInputs, RunContext, run_context_of

@@ -8,8 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS
+from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS, Array
 from launch_scripts.reporting.drive import NO_POINTS, WORDS, Judged
 from launch_scripts.reporting.lines import PALETTE
 from launch_scripts.reporting.panels import Panel, style

@@ -7,8 +7,8 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import Array
 from launch_scripts.bags.bag_columns import BagColumns
 from launch_scripts.reporting.drive import NO_POINTS, WORDS, Judged
 from launch_scripts.reporting.lines import PALETTE, curve, rounded

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from launch_scripts.reporting.drive import NO_POINTS, Judged
 from launch_scripts.reporting.lines import Series
 

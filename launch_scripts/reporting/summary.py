@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,8 @@ from ampc_msgs_config.metrics import (
     rms,
     time_where,
 )
-from ampc_msgs_config.parameters import Checked, number
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import RUNGS, SHIFTED_PLAN
+from ampc_msgs_config.types import RUNGS, SHIFTED_PLAN, Array
+from ampc_msgs_config.validation import Checked, number, units_of
 from launch_scripts.bags.bag_columns import BagColumns
 from launch_scripts.reporting.context import RunContext
 
@@ -158,27 +157,27 @@ def controller(told: SupervisionSummary) -> Summary:
 class Thresholds(Checked):
     """Largest values that pass, SI, named as in the summary; `min_` are smallest ones."""
 
-    rms_cross_track_error: float = number(0.0, math.inf, "m", math.inf)
-    p95_cross_track_error: float = number(0.0, math.inf, "m", math.inf)
-    max_cross_track_error: float = number(0.0, math.inf, "m", math.inf)
-    rms_heading_error: float = number(0.0, math.inf, "rad", math.inf)
-    max_lateral_acceleration: float = number(0.0, math.inf, "m/s^2", math.inf)
-    max_steering: float = number(0.0, math.inf, "rad", math.inf)
-    steering_effort: float = number(0.0, math.inf, "rad per tick", math.inf)
-    steering_reversals: float = number(0.0, math.inf, "", math.inf)
-    steering_reversal_rate: float = number(0.0, math.inf, "1/s", math.inf)
-    time_at_limit: float = number(0.0, math.inf, "s", math.inf)
-    time_constrained: float = number(0.0, math.inf, "s", math.inf)
-    time_clipped: float = number(0.0, math.inf, "s", math.inf)
-    missed_ticks: float = number(0.0, math.inf, "ticks", math.inf)
-    fall_backs: float = number(0.0, math.inf, "ticks", math.inf)
-    unsolved_ticks: float = number(0.0, math.inf, "ticks", math.inf)
-    stop_requests: float = number(0.0, math.inf, "", math.inf)
-    solve_time_median: float = number(0.0, math.inf, "s", math.inf)
-    solve_time_p99: float = number(0.0, math.inf, "s", math.inf)
-    solve_time_max: float = number(0.0, math.inf, "s", math.inf)
-    min_duration: float = number(0.0, math.inf, "s", 0.0)
-    min_distance: float = number(0.0, math.inf, "m", 0.0)
+    rms_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    p95_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    max_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    rms_heading_error: Annotated[float, number(0.0, math.inf, "rad")] = math.inf
+    max_lateral_acceleration: Annotated[float, number(0.0, math.inf, "m/s^2")] = math.inf
+    max_steering: Annotated[float, number(0.0, math.inf, "rad")] = math.inf
+    steering_effort: Annotated[float, number(0.0, math.inf, "rad per tick")] = math.inf
+    steering_reversals: Annotated[float, number(0.0, math.inf, "")] = math.inf
+    steering_reversal_rate: Annotated[float, number(0.0, math.inf, "1/s")] = math.inf
+    time_at_limit: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    time_constrained: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    time_clipped: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    missed_ticks: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    fall_backs: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    unsolved_ticks: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    stop_requests: Annotated[float, number(0.0, math.inf, "")] = math.inf
+    solve_time_median: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    solve_time_p99: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    solve_time_max: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    min_duration: Annotated[float, number(0.0, math.inf, "s")] = 0.0
+    min_distance: Annotated[float, number(0.0, math.inf, "m")] = 0.0
 
 
 class Verdict(NamedTuple):
@@ -203,12 +202,12 @@ class Verdict(NamedTuple):
 
 def verdicts(thresholds: Thresholds, summary: Mapping[str, float | None]) -> list[Verdict]:
     """Hold a summary against the thresholds that were set."""
-    result = []
+    result, units = [], units_of(Thresholds)
     for item in fields(thresholds):
         limit = getattr(thresholds, item.name)
         if limit != item.default:
             at_least = item.name.startswith("min_")
             name = item.name.removeprefix("min_")
-            unit = item.metadata["unit"]
+            unit = units[item.name]
             result.append(Verdict(item.name, name, limit, at_least, summary[name], unit))
     return result

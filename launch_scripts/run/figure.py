@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import errors, ticks
 from ampc_msgs_config.paths.curves import Lane
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_frame import PathFrame, along_chord, path_frame
 from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
-from ampc_msgs_config.types import at_distance
+from ampc_msgs_config.types import Array
 from launch_scripts.bags.drive_log import DriveLog
 from launch_scripts.reporting.style import BLUE, ORANGE, REFERENCE_STYLE
 

@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import LOST, Drive
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_msgs_config.types import Diagnosis, at_distance
+from ampc_msgs_config.types import Array, Diagnosis
 from sim_vehicle.parameters import Vehicle
 
 

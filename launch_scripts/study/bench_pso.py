@@ -17,7 +17,7 @@ from rich.console import Console, JustifyMethod
 from rich.progress import Progress
 from rich.table import Table
 
-from ampc_ros.pso.settings import Array
+from ampc_msgs_config.types import Array
 from launch_scripts.study.bench_pso_figure import draw_curves
 from launch_scripts.study.bench_pso_tables import (
     CLAIM_HEADS,

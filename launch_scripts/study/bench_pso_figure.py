@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation
 
-from ampc_ros.pso.settings import Array
+from ampc_msgs_config.types import Array
 from launch_scripts.reporting.style import spread
 from launch_scripts.study.pso_yardsticks import BUDGET, METHODS, PARTICLES, PROBLEMS
 

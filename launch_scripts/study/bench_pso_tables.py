@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ampc_ros.pso.settings import Array
+from ampc_msgs_config.types import Array
 from launch_scripts.study.pso_yardsticks import BUDGET, METHODS, PROBLEMS, Problem
 
 CLAIMED = ("proposed", "linear", "damped", "classic")

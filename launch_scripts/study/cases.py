@@ -9,7 +9,6 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.metrics import LOST, errors, evaluate
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path import Path
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario, speed_at
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
 from ampc_ros.configuration import default_table
@@ -194,7 +193,7 @@ def run(
     inner = contender(name, FIXED_SPEED.get(scenario.name, 9.0), found, authors)
     steering = Recorded(inner, scenario, "speed" in authors and name.startswith("paper"))
     driven = drive(Simulation(vehicle, scenario), steering)
-    path = make_path(scenario.points)
+    path = scenario.path
     error = errors(driven, path, vehicle.chassis.cg_to_rear_axle)[:, 0]
     return SimulatedDrive(driven, path, scenario, vehicle, error, steering.diagnosis)
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ampc_msgs_config.metrics import ticks
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from launch_scripts.reporting.style import CONTROLLER_STYLES, INK, label_ends, stack
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.bench_pso_figure import STYLES

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import at_once, minimize
-from ampc_ros.pso.settings import Array, Dimension, PsoSettings
+from ampc_ros.pso.settings import Dimension, PsoSettings
 
 PARTICLES, GENERATIONS, SCHEDULE = 20, 41, 100
 """Of the paper's comparison: 41 of 100 generations are shown."""

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ampc_msgs_config.metrics import LOST, ticks
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.scenarios.scenario import speed_at
 from ampc_msgs_config.scenarios.wind import wind_at
+from ampc_msgs_config.types import Array
 from launch_scripts.reporting.style import (
     CONTROLLER_STYLES,
     INK,

@@ -10,9 +10,8 @@ import numpy as np
 from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import Drive, errors
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import at_once, minimize
@@ -65,7 +64,7 @@ def geometric_mean(values: Sequence[float]) -> float:
 
 def mean_square(drive: Drive, scenario: Scenario, to_cg: float, period: float) -> float:
     """Give the MSE of a drive that may have been given up [m^2]."""
-    error = errors(drive, make_path(scenario.points), to_cg)[:, 0]
+    error = errors(drive, scenario.path, to_cg)[:, 0]
     missing = max(round(scenario.duration / period) - len(error), 0)
     return float((np.sum(error**2) + missing * GIVEN_UP**2) / (len(error) + missing))
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ampc_msgs_config.paths.curves import q
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.types import Array
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.bench_pso_tables import READ, bars
 from launch_scripts.study.cases import Authors, Found, numbers, road, run

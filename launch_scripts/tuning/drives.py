@@ -31,7 +31,7 @@ LANE_CHANGE_START, LANE_CHANGE_DURATION = 4.0, 14.0
 """[s]"""
 SMALL_OFFSET, LARGE_OFFSET = 0.1, 3.0
 """Of the start from the path, on the lane change and where a road is joined [m]."""
-GUST = Wind("gust", 9.0, 11.0, 15.0)
+GUST = Wind(kind="gust", start=9.0, end=11.0, speed=15.0)
 """Side wind after the lane change."""
 JOIN_DURATION = 14.0
 """Of joining a straight road [s]."""

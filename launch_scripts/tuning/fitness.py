@@ -12,6 +12,7 @@ import numpy as np
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ControllerSettings
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.mpc.internal_model import believed as belief_of
 from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
@@ -26,7 +27,7 @@ from launch_scripts.tuning.drives import (
     real,
     step_to,
 )
-from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Array, Fleet
+from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Fleet
 from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare, run
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle

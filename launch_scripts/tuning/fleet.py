@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_frame import PathFrame
 from ampc_msgs_config.scenarios.scenario import SpeedProfile, target_speed
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.gain_table import Table
 from ampc_ros.mpc.small_matrices import Scratch
 from ampc_ros.paper.tick import Answer, paper_tick
@@ -23,7 +24,6 @@ from sim_vehicle.measurement import Deviations, measured, noisy
 from sim_vehicle.parameters import numbers_of
 from sim_vehicle.vehicle import drive
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CROSS_TRACK_ERROR, STEERING, CONVERGED, STATE, LOGGED = 0, 1, 2, 3, 9

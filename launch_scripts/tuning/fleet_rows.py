@@ -13,10 +13,9 @@ import numpy as np
 from ampc_msgs_config.compiled import announced
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import NOT_CAUGHT
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame
 from ampc_msgs_config.scenarios.scenario import Scenario, wind_of_drive
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
@@ -24,7 +23,6 @@ from launch_scripts.tuning.fleet import (
     LOGGED,
     STATE,
     STEERING,
-    Array,
     Fleet,
     FleetTiming,
     Integers,
@@ -114,7 +112,7 @@ def lay_roads(scenarios: Sequence[Scenario], step_ns: int, period_ns: int, frame
     Raises:
         ValueError: A path is no graph over its chord, but is needed as one.
     """
-    paths = [make_path(scenario.points) for scenario in scenarios]
+    paths = [scenario.path for scenario in scenarios]
     nowhere = [PathFrame(0.0, 0.0, 0.0, 0.0 * path.x, 0.0 * path.x) for path in paths]
     frames = [path_frame(path) for path in paths] if framed else nowhere
     wind = [wind_of_drive(scenario, step_ns, period_ns) for scenario in scenarios]

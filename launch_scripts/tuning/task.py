@@ -10,12 +10,12 @@ import numpy as np
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
-from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import check_range, number
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.pso.settings import PsoSettings
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import FITNESS, Node, fitness, gains_of_row
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.space import SYMBOLS, SearchSpace, gains_at
 from sim_vehicle.parameters import Vehicle, load_vehicle
 
@@ -97,7 +97,7 @@ def check(task: Task) -> None:
         if not axis:
             raise ValueError(f"{key} = [] must have at least one place")
         for i, place in enumerate(axis):
-            check_range(f"{key}[{i}]", place, {"low": low, "high": 100.0, "unit": ""})
+            check_range(f"{key}[{i}]", place, number(low, 100.0))
             if i and place <= axis[i - 1]:
                 raise ValueError(f"{key}[{i}] = {place:g} must be greater than {axis[i - 1]:g}")
     if task.kind != "paper" and task.references != (0.0,):

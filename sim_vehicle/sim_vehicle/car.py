@@ -1,26 +1,25 @@
 """One car that lives across control periods."""
 
 from dataclasses import astuple
-from typing import Any
 
 import numpy as np
 
-from ampc_msgs_config.parameters import check_range
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.types import Array, VehicleState
+from ampc_msgs_config.validation import check_range, number
 from sim_vehicle.measurement import Deviations, measured, noisy
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, numbers
-from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, Array, drive
+from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, drive
 
-RANGES: dict[str, dict[str, Any]] = {
-    "x": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
-    "y": {"low": -1.0e9, "high": 1.0e9, "unit": "m"},
-    "yaw": {"low": -1.0e3, "high": 1.0e3, "unit": "rad"},
-    "speed": {"low": 0.0, "high": 100.0, "unit": "m/s"},
-    "step": {"low": 1.0e-5, "high": 0.02, "unit": "s"},
-    "friction": {"low": 0.01, "high": 3.0, "unit": ""},
-    "steering": {"low": -10.0, "high": 10.0, "unit": "rad"},
-    "target_speed": {"low": 0.0, "high": 100.0, "unit": "m/s"},
-    "wind": {"low": -100.0, "high": 100.0, "unit": "m/s"},
+RANGES = {
+    "x": number(-1.0e9, 1.0e9, "m"),
+    "y": number(-1.0e9, 1.0e9, "m"),
+    "yaw": number(-1.0e3, 1.0e3, "rad"),
+    "speed": number(0.0, 100.0, "m/s"),
+    "step": number(1.0e-5, 0.02, "s"),
+    "friction": number(0.01, 3.0),
+    "steering": number(-10.0, 10.0, "rad"),
+    "target_speed": number(0.0, 100.0, "m/s"),
+    "wind": number(-100.0, 100.0, "m/s"),
 }
 
 

@@ -5,12 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import Path
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, speed_at
 from ampc_msgs_config.scenarios.wind import wind_of_steps
-from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState, as_received
+from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
 
@@ -77,7 +77,7 @@ def drive(simulation: Simulation, controller: Steering, start_ns: int = NANOSECO
     Returns:
         What the controller saw and did; the same as the ROS nodes in lock-step, bit for bit.
     """
-    path = make_path(simulation.scenario.points)
+    path = simulation.scenario.path
     planner = SpeedPlanner(simulation.scenario)
     period_ns = round(controller.period * NANOSECONDS)
     states, steering, solve_time = [], [], []

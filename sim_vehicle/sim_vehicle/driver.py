@@ -3,7 +3,7 @@
 import math
 
 from ampc_msgs_config.compiled import inlined
-from sim_vehicle.parameters import GRAVITY
+from ampc_msgs_config.parameters import GRAVITY
 
 WALKING_SPEED = 1.0
 """Below this speed the engine's power is no limit [m/s]."""

@@ -1,14 +1,10 @@
-"""What the car reports of its motion."""
+"""Measured state of the simulated car."""
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
-from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
-
-Array = NDArray[np.float64]
+from ampc_msgs_config.frames import at_distance, wrap_angle
+from ampc_msgs_config.types import Array, VehicleState
 
 
 class Deviations(NamedTuple):
@@ -23,11 +19,11 @@ class Deviations(NamedTuple):
 
 @in_place
 def measured(state: Array, to_rear_axle: float, stamp_ns: int) -> VehicleState:
-    """Give the motion at `base_link`, the centre of the rear axle, exactly.
+    """Return the exact motion at `base_link`, the centre of the rear axle.
 
     Args:
-        state: (SIZE,) of the car.
-        to_rear_axle: From the centre of gravity forward to it: negative [m].
+        state: (SIZE,) state of the car.
+        to_rear_axle: Distance from the centre of gravity forward to the axle: negative [m].
         stamp_ns: Time of the measurement [ns].
     """
     x, y, yaw, v_x, v_y, yaw_rate = state[0], state[1], state[2], state[3], state[4], state[5]
@@ -37,10 +33,10 @@ def measured(state: Array, to_rear_axle: float, stamp_ns: int) -> VehicleState:
 
 @in_place
 def noisy(state: VehicleState, noise: Deviations, normal: Array) -> VehicleState:
-    """Add white noise to a measurement.
+    """Return a measurement with white noise.
 
     Args:
-        state: What would be measured without it.
+        state: Measurement without noise.
         noise: Standard deviations.
         normal: (6,) numbers from the standard normal distribution.
     """

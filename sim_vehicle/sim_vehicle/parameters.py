@@ -1,101 +1,101 @@
-"""What a vehicle file says about the real car, beyond what the controller reads of it."""
+"""Parameters of the simulated car: vehicle file, measurement noise, and their rows of numbers."""
 
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ampc_msgs_config import config
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.config import load
 from ampc_msgs_config.parameters import (
+    GRAVITY,
     ChassisParameters,
-    Checked,
     SizeParameters,
     SteeringParameters,
-    choice,
-    number,
 )
 from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
-
-GRAVITY = 9.81
-"""[m/s^2]"""
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked, choice, number
 
 
 @dataclass(frozen=True, kw_only=True)
 class TyreParameters(Checked):
-    """All four tyres; their cornering stiffness at the static load stands in the chassis."""
+    """All four tyres; their cornering stiffness at the static load is in the chassis."""
 
-    model: str = choice("pacejka", "linear", default="pacejka")
-    friction: float = number(0.01, 3.0, "")
-    """mu at the static load."""
-    shape: float = number(1.0, 2.0, "", 1.5)
-    """C of the Magic Formula."""
-    curvature: float = number(-10.0, 1.0, "", -0.5)
-    """E of the Magic Formula."""
-    load_sensitivity: float = number(0.0, 0.5, "", 0.1)
-    """Loss of mu when the load doubles, k_D."""
-    stiffest_load: float = number(1.0, 10.0, "static loads", 2.0)
-    """Load at which the cornering stiffness is largest, p."""
-    relaxation_length: float = number(0.01, 5.0, "m")
-    parking_damping: float = number(0.0, 1.0, "s", 0.04)
-    """Damping over stiffness of the tyre's sideways spring at standstill."""
+    model: Annotated[str, choice(("pacejka", "linear"), "Force law of the tyres.")] = "pacejka"
+    friction: Annotated[float, number(0.01, 3.0, "", "Friction at the static load, mu.")]
+    shape: Annotated[float, number(1.0, 2.0, "", "Shape factor C of the Magic Formula.")] = 1.5
+    curvature: Annotated[
+        float, number(-10.0, 1.0, "", "Curvature factor E of the Magic Formula.")
+    ] = -0.5
+    load_sensitivity: Annotated[
+        float, number(0.0, 0.5, "", "Loss of mu when the load doubles, k_D.")
+    ] = 0.1
+    stiffest_load: Annotated[
+        float, number(1.0, 10.0, "static loads", "Load of the largest stiffness, p.")
+    ] = 2.0
+    relaxation_length: Annotated[float, number(0.01, 5.0, "m", "Relaxation length, sigma.")]
+    parking_damping: Annotated[
+        float, number(0.0, 1.0, "s", "Damping over lateral stiffness at rest.")
+    ] = 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyParameters(Checked):
-    """What decides about the wheel loads."""
+    """Body parameters that determine the wheel loads."""
 
-    track: float = number(0.05, 10.0, "m")
-    cg_height: float = number(0.0, 5.0, "m")
-    front_roll_share: float = number(0.0, 1.0, "")
-    """Share of the front axle in the roll stiffness."""
-    load_lag: float = number(0.01, 2.0, "s", 0.05)
-    """Time constant with which the wheel loads follow the acceleration."""
+    track: Annotated[float, number(0.05, 10.0, "m", "Track width of both axles.")]
+    cg_height: Annotated[float, number(0.0, 5.0, "m", "Height of the centre of gravity.")]
+    front_roll_share: Annotated[float, number(0.0, 1.0, "", "Front share of the roll stiffness.")]
+    load_lag: Annotated[float, number(0.01, 2.0, "s", "Time constant of the wheel loads.")] = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class AerodynamicsParameters(Checked):
-    """Areas include their coefficient."""
+    """Drag and side force; areas include their coefficient."""
 
-    air_density: float = number(0.0, 10.0, "kg/m^3", 1.225)
-    drag_area: float = number(0.0, 100.0, "m^2")
-    side_area: float = number(0.0, 100.0, "m^2")
-    side_force_arm: float = number(-10.0, 10.0, "m")
-    """Distance from the centre of gravity forward to the point where the side force acts."""
+    air_density: Annotated[float, number(0.0, 10.0, "kg/m^3", "Density of the air.")] = 1.225
+    drag_area: Annotated[float, number(0.0, 100.0, "m^2", "Drag coefficient times frontal area.")]
+    side_area: Annotated[float, number(0.0, 100.0, "m^2", "Side coefficient times lateral area.")]
+    side_force_arm: Annotated[
+        float, number(-10.0, 10.0, "m", "Centre of gravity forward to the side force.")
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PowertrainParameters(Checked):
-    """Engine, brakes, rolling resistance, and the driver at the pedals."""
+    """Engine, brakes, rolling resistance, and the driver who controls the speed."""
 
-    max_drive_force: float = number(0.0, 1.0e6, "N")
-    max_power: float = number(0.0, 1.0e7, "W")
-    max_brake_force: float = number(0.0, 1.0e6, "N")
-    front_drive_share: float = number(0.0, 1.0, "")
-    front_brake_share: float = number(0.0, 1.0, "")
-    rolling_resistance: float = number(0.0, 0.5, "")
-    """Resistance over weight."""
-    driver_time_constant: float = number(0.05, 10.0, "s", SPEED_PREVIEW)
-    """With which the driver closes a speed error; the planner looks ahead as far."""
+    max_drive_force: Annotated[float, number(0.0, 1.0e6, "N", "Largest drive force.")]
+    max_power: Annotated[float, number(0.0, 1.0e7, "W", "Largest power of the engine.")]
+    max_brake_force: Annotated[float, number(0.0, 1.0e6, "N", "Largest brake force.")]
+    front_drive_share: Annotated[float, number(0.0, 1.0, "", "Front share of the drive force.")]
+    front_brake_share: Annotated[float, number(0.0, 1.0, "", "Front share of the brake force.")]
+    rolling_resistance: Annotated[
+        float, number(0.0, 0.5, "", "Rolling resistance divided by weight.")
+    ]
+    driver_time_constant: Annotated[
+        float, number(0.05, 10.0, "s", "Time constant of the driver's speed control.")
+    ] = SPEED_PREVIEW
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementNoise(Checked):
-    """Standard deviations of white noise on what the car reports."""
+    """Standard deviations of white noise on the measured state."""
 
-    position: float = number(0.0, 100.0, "m", 0.0)
-    """Of x and of y."""
-    heading: float = number(0.0, math.pi, "rad", 0.0)
-    yaw_rate: float = number(0.0, 10.0, "rad/s", 0.0)
-    lateral_velocity: float = number(0.0, 10.0, "m/s", 0.0)
-    speed: float = number(0.0, 10.0, "m/s", 0.0)
+    position: Annotated[float, number(0.0, 100.0, "m", "Noise of x and of y.")] = 0.0
+    heading: Annotated[float, number(0.0, math.pi, "rad", "Noise of the heading.")] = 0.0
+    yaw_rate: Annotated[float, number(0.0, 10.0, "rad/s", "Noise of the yaw rate.")] = 0.0
+    lateral_velocity: Annotated[
+        float, number(0.0, 10.0, "m/s", "Noise of the lateral velocity.")
+    ] = 0.0
+    speed: Annotated[float, number(0.0, 10.0, "m/s", "Noise of the longitudinal speed.")] = 0.0
 
 
 class Vehicle(NamedTuple):
-    """A vehicle file."""
+    """Content of a vehicle file."""
 
     chassis: ChassisParameters
     steering: SteeringParameters
@@ -107,7 +107,7 @@ class Vehicle(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """The same for compiled code: each section in the order of its fields."""
+    """Vehicle for compiled code: each section in the order of its fields."""
 
     chassis: tuple[float, ...]
     steering: tuple[float, ...]
@@ -123,22 +123,13 @@ def load_vehicle(file: Path) -> Vehicle:
     """Load a vehicle file.
 
     Raises:
-        ValueError: Names the file, the section, the key, the value and the bound.
+        ValueError: File, key, value and bound.
     """
-    content, sections = config.read(file), get_type_hints(Vehicle)
-    for section in content:
-        if section not in sections:
-            raise ValueError(f"{file}: unknown section {section!r}; known: {', '.join(sections)}")
-    for section in sections:
-        if section not in content:
-            raise ValueError(f"{file}: missing section {section!r}")
-    return Vehicle(
-        *(config.build(cls, content[key], f"{file}: {key}") for key, cls in sections.items())
-    )
+    return load(Vehicle, file)
 
 
 def numbers(vehicle: Vehicle) -> Numbers:
-    """Give a vehicle as compiled code takes it."""
+    """Return a vehicle as the argument of compiled code."""
     chassis = vehicle.chassis
     axle_load = 0.5 * chassis.mass * GRAVITY / chassis.wheelbase  # per tyre and metre of lever
     front_load, rear_load = (
@@ -156,14 +147,14 @@ def numbers(vehicle: Vehicle) -> Numbers:
     )
 
 
-def flat_numbers(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Give the same as a row, section after section, so that a swarm of cars is a matrix."""
+def flat_numbers(vehicle: Vehicle) -> Array:
+    """Return `numbers` as one row, section after section, so that a swarm of cars is a matrix."""
     return np.array([number for section in numbers(vehicle) for number in section])
 
 
 @in_place
-def numbers_of(row: NDArray[np.float64]) -> Numbers:
-    """Give the numbers of a car from its row of `flat_numbers`."""
+def numbers_of(row: Array) -> Numbers:
+    """Return the numbers of a car from its row of `flat_numbers`."""
     return Numbers(
         chassis=(row[0], row[1], row[2], row[3], row[4], row[5]),
         steering=_four(row, 6),
@@ -176,12 +167,12 @@ def numbers_of(row: NDArray[np.float64]) -> Numbers:
 
 
 @inlined
-def _four(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
+def _four(row: Array, i: int) -> tuple[float, ...]:
     return row[i], row[i + 1], row[i + 2], row[i + 3]
 
 
 @inlined
-def _nine(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
+def _nine(row: Array, i: int) -> tuple[float, ...]:
     a, b, c, d = _four(row, i)
     e, f, g, h = _four(row, i + 4)
     return a, b, c, d, e, f, g, h, row[i + 8]

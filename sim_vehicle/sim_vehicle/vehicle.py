@@ -4,10 +4,8 @@
 left, front right, rear left, rear right. Position and velocity are those of the centre of gravity.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from sim_vehicle.actuator import approach, command_in_force, queue_up, turned
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.driver import FEELING_LAG, pedals, rolling_resistance, stands
@@ -25,8 +23,6 @@ from sim_vehicle.wheels import (
     tyre_sums,
     wheel_loads,
 )
-
-Array = NDArray[np.float64]
 
 X, Y, YAW, V_X, V_Y, YAW_RATE = range(6)
 A_X, A_Y = 6, 7

@@ -4,16 +4,13 @@ The loop over the wheels has neither branch nor call, so the compiler makes SIMD
 that it writes lie before those that it only reads: the compiler then sees that lanes do not meet.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.parameters import GRAVITY
+from ampc_msgs_config.types import Array
 from sim_vehicle.driver import longitudinal_demand
 from sim_vehicle.elementary import sine_and_cosine
 from sim_vehicle.pacejka import transient_slip, tyre_forces
-from sim_vehicle.parameters import GRAVITY, Numbers
-
-Array = NDArray[np.float64]
+from sim_vehicle.parameters import Numbers
 
 WHEELS = 4
 """Front left, front right, rear left, rear right."""

@@ -67,10 +67,10 @@ def test_a_package_imports_only_what_lies_below_it() -> None:
 def test_product_code_imports_nothing_of_the_study() -> None:
     study = {file for file in PRODUCT if file.parent.name == "study" or file.stem == "reproduce"}
     wrong = {
-        file.relative_to(ROOT): found
+        file.relative_to(ROOT): actual
         for file in PRODUCT
         if file not in study
-        and (found := {n for n in imported(file) if ".".join(n.split(".")[:2]) in STUDY})
+        and (actual := {n for n in imported(file) if ".".join(n.split(".")[:2]) in STUDY})
     }
     assert len(study) > 1
     assert not wrong
@@ -78,17 +78,17 @@ def test_product_code_imports_nothing_of_the_study() -> None:
 
 def test_ros_appears_only_in_ros_modules_and_nodes() -> None:
     wrong = {
-        file.relative_to(ROOT): found
+        file.relative_to(ROOT): actual
         for file in PRODUCT
         if not may_use_ros(file)
-        and (found := {n for n in packages(imported(file)) if is_ros_package(n)} - OURS)
+        and (actual := {n for n in packages(imported(file)) if is_ros_package(n)} - OURS)
     }
     assert not wrong
 
 
 def test_the_top_of_launch_scripts_has_only_commands() -> None:
-    found = {file.stem for file in (ROOT / "launch_scripts").glob("*.py")}
-    assert found <= COMMANDS
+    actual = {file.stem for file in (ROOT / "launch_scripts").glob("*.py")}
+    assert actual <= COMMANDS
 
 
 def test_no_folder_of_product_code_is_overfull() -> None:

@@ -25,7 +25,7 @@ SHARPEST = math.tan(MAX_ANGLE) / CHASSIS.wheelbase
 
 
 def circle(radius: float, side: float = 1.0, turn: float = 4.0) -> np.ndarray[Any, Any]:
-    """Give points of a circle, half a metre apart."""
+    """Return points of a circle, half a metre apart."""
     angle = np.arange(0.0, turn, 0.5 / radius)
     return radius * np.column_stack((np.sin(angle), side * (1 - np.cos(angle))))
 

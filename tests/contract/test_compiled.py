@@ -1,4 +1,4 @@
-"""Where compiled code is kept, what is removed, and what is said while compiling."""
+"""Compiled code: its folder, the removal of old versions, and the messages while compiling."""
 
 import os
 import subprocess
@@ -32,7 +32,7 @@ SMALL = (
 
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give a temporary folder of the machine's own."""
+    """Return a temporary folder of the machine's own."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return tmp_path
 
@@ -115,7 +115,7 @@ def test_a_link_in_place_of_the_temporary_folder_is_not_followed(temporary: Path
 
 
 def config(base: Path, name: str, age: float) -> Path:
-    """Make the compiled code of a version that was used some time ago [s]."""
+    """Create the compiled code of a version that was used some time ago [s]."""
     folder = base / name
     folder.mkdir()
     (folder / "code.nbc").write_bytes(b"code")
@@ -148,7 +148,7 @@ def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is_not() -> None:
-    said: list[str] = []
+    messages: list[str] = []
 
     @compiled
     def inner(x: float) -> float:
@@ -158,13 +158,13 @@ def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is
     def outer(x: float) -> float:
         return inner(x) * 2.0
 
-    with announced("controller", said.append):
-        assert said == []
+    with announced("controller", messages.append):
+        assert messages == []
         outer(1.0)
-        assert said == ["compiling the controller (once after an update, about 20 s) ..."]
+        assert messages == ["compiling the controller (once after an update, about 20 s) ..."]
         outer(1)
-    assert len(said) == 2
-    assert said[1].startswith("compiled the controller in ")
-    with announced("controller", said.append):
+    assert len(messages) == 2
+    assert messages[1].startswith("compiled the controller in ")
+    with announced("controller", messages.append):
         outer(1.0)
-    assert len(said) == 2
+    assert len(messages) == 2

@@ -1,25 +1,23 @@
-"""YAML <-> dataclass: shipped files load, and bad ones are refused by file, key, value, bound."""
+"""Configuration layer: shipped files load, bad ones are rejected with file, key, value, bound."""
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import MAX_BYTES, build, find, load, read, shipped
+from ampc_msgs_config.config import MAX_BYTES, build, dump, find, load, parse, read, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
-    Checked,
     ControllerSettings,
     SizeParameters,
     SteeringParameters,
-    choice,
-    number,
 )
+from ampc_msgs_config.validation import Checked, check_range, choice, hints, number, unwrap
 
 PAPER = {
     "mass": 1575.0,
@@ -32,12 +30,25 @@ PAPER = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class Part(Checked):
+    """Nested record with a renamed key."""
+
+    RENAMED = {"mass": "weight"}  # noqa: RUF012
+
+    weight: Annotated[float, number(0.0, 5.0, "kg")] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sample(Checked):
     """One field of each kind."""
 
-    length: float = number(0.0, 10.0, "m")
-    limit: float = number(0.0, math.inf, "m", math.inf)
-    kind: str = choice("round", "square", default="round")
+    length: Annotated[float, number(0.0, 10.0, "m")]
+    limit: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    kind: Annotated[str, choice(("round", "square"))] = "round"
+    ready: bool = True
+    count: Annotated[int, number(0, 9)] = 0
+    row: tuple[Annotated[float, number(0.0, 1.0, "s")], ...] = ()
+    parts: tuple[Part, ...] = ()
 
 
 @pytest.mark.parametrize("name", sorted(shipped("vehicles")))
@@ -95,28 +106,110 @@ def test_parameters_cannot_be_changed() -> None:
 BAD: dict[str, Any] = {
     r"missing key 'length'": {},
     r"unknown key 'lenght'; known are length, limit, kind": {"lenght": 1.0},
+    r"parts\[1\]: unknown key 'wait'; known are weight": {"length": 1, "parts": [{}, {"wait": 1}]},
+    r"parts\[1\]: key 'mass' is now 'weight'": {"length": 1, "parts": [{}, {"mass": 1}]},
+    r"parts\[0\].weight = 6 must lie in \[0, 5\] kg": {"length": 1, "parts": [{"weight": 6}]},
+    r"parts = 7 must be a list": {"length": 1, "parts": 7},
+    r"parts\[0\] = 7 must be a mapping of keys": {"length": 1, "parts": [7]},
+    r"row\[1\] = 2 must lie in \[0, 1\] s": {"length": 1, "row": [1, 2]},
+    r"row = 2 must be a list of numbers": {"length": 1, "row": 2},
+    r"ready = 'yes' must be true or false": {"length": 1, "ready": "yes"},
+    r"ready = 1 must be true or false": {"length": 1, "ready": 1},
+    r"count = 1.5 must be a whole number in \[0, 9\]": {"length": 1, "count": 1.5},
+    r"count = 10 must lie in \[0, 9\]": {"length": 1, "count": 10},
+    r"count = True must be a whole number in \[0, 9\]": {"length": 1, "count": True},
     r"unknown key 3; known are": {3: 1.0},
     r"length = -0.1 must lie in \[0, 10\] m": {"length": -0.1},
     r"length = 10.1 must lie in \[0, 10\] m": {"length": 10.1},
     r"length = nan must lie in": {"length": math.nan},
     r"length = inf must lie in": {"length": math.inf},
-    r"length = '1e-3' must be a number \(YAML needs a point in the mantissa": {"length": "1e-3"},
+    r"length = '1e-3' must be a number in \[0, 10\] m": {"length": "1e-3"},
     r"length = True must be a number": {"length": True},
     r"length = None must be a number": {"length": None},
     r"length = \[1.0\] must be a number": {"length": [1.0]},
-    r"limit = -1.0 must lie in \[0, inf\] m": {"length": 1.0, "limit": -1},
+    r"limit = -1 must lie in \[0, inf\] m": {"length": 1.0, "limit": -1},
     r"kind = 'oval' must be one of round, square": {"length": 1.0, "kind": "oval"},
     r"kind = \['round'\] must be one of round, square": {"length": 1.0, "kind": ["round"]},
     r"must be a mapping of keys, not \[1\]": [1],
     r"must be a mapping of keys, not None": None,
-    r"too large": {"length": 10**400},
+    r"length = a whole number of 401 digits must lie in \[0, 10\] m": {"length": 10**400},
+    r"limit = a whole number of 401 digits must lie in \[0, inf\] m": {
+        "length": 1,
+        "limit": 10**400,
+    },
 }
 
 
 @pytest.mark.parametrize("complaint", BAD)
 def test_bad_content_is_refused_with_place_key_value_and_bound(complaint: str) -> None:
-    with pytest.raises(ValueError, match=f"sample.yaml: part: .*{complaint}"):
-        build(Sample, BAD[complaint], "sample.yaml: part")
+    with pytest.raises(ValueError, match=f"^sample.yaml: {complaint}"):
+        build(Sample, BAD[complaint], "sample.yaml")
+
+
+NOT_NUMBERS = [
+    "0017",
+    "1:30",
+    "1:30.5",
+    "1_0",
+    "0x1F",
+    "0o17",
+    "0b1",
+    "yes",
+    "No",
+    "on",
+    "2026-01-01",
+]
+
+
+@pytest.mark.parametrize("text", [*NOT_NUMBERS, "true", "'1'", "~", "[1]"])
+def test_what_only_looks_like_a_number_is_refused_with_key_value_and_bound(text: str) -> None:
+    with pytest.raises(
+        ValueError, match=r"^x.yaml: part.length = .* must be a number in \[0, 10\] m"
+    ):
+        build(Sample, parse(f"length: {text}", "x.yaml"), "x.yaml", "part")
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.0e-3", "+.001", "1.e-3", "0.001"])
+def test_numbers_are_read_with_and_without_a_point(text: str) -> None:
+    assert parse(f"length: {text}", "x.yaml") == {"length": 0.001}
+
+
+def test_only_true_and_false_are_booleans_and_infinity_is_a_number() -> None:
+    content = parse("{a: true, b: False, c: yes, d: off, e: .inf, f: -7, g: -.INF, h: null}", "x")
+    expected = {"a": True, "b": False, "c": "yes", "d": "off", "e": math.inf, "f": -7}
+    assert content == {**expected, "g": -math.inf, "h": None}
+
+
+@pytest.mark.parametrize(
+    "text", [*NOT_NUMBERS, "1e-3", "1e3", "true", "null", "plain", "=", "a: b"]
+)
+def test_text_that_is_written_is_read_back_as_text(text: str) -> None:
+    assert parse(dump({"name": text}), "x") == {"name": text}
+
+
+TWICE = {
+    "a: 1\na: 2": "a = 2 in line 2 repeats the key of line 1",
+    "{a: 1, a: 2}": "a = 2 in line 1 repeats the key of line 1",
+    "a: {b: 1, c: 2}\nd:\n  - b: 1\n    b: [3]": r"d\[0\].b = ... in line 4 repeats",
+    "a: &a {b: 1}\nc:\n  <<: *a\n  d: 1\n  <<: *a": "c.<< = ... in line 5 repeats",
+}
+
+
+@pytest.mark.parametrize("text", TWICE)
+def test_a_key_that_occurs_twice_is_refused_with_key_value_and_lines(text: str) -> None:
+    with pytest.raises(ValueError, match=f"^mine.yaml: {TWICE[text]}"):
+        parse(text, "mine.yaml")
+
+
+@pytest.mark.parametrize("value", [0.0, 9, 9.0])
+def test_an_argument_in_its_range_passes(value: float) -> None:
+    check_range("--laps", value, number(0, 9))
+
+
+@pytest.mark.parametrize("value", [-1, 9.5, math.nan, True, "3", None])
+def test_an_argument_outside_its_range_is_refused_by_name_and_value(value: object) -> None:
+    with pytest.raises(ValueError, match=rf"^--laps = {value!r} must .* \[0, 9\]"):
+        check_range("--laps", value, number(0, 9))
 
 
 TEXTS: dict[str, str | bytes] = {
@@ -128,18 +221,21 @@ TEXTS: dict[str, str | bytes] = {
     "not YAML: .*recursion": "[" * 5000,
     "not YAML: .*could not determine a constructor": "a: !!python/object/apply:os.getcwd []",
     r"\d+ bytes are more than": b" " * (MAX_BYTES + 1),
-    "not YAML: more than 5000000 values, with aliases replaced": "\n".join(
+    "more than 5000000 values, with aliases replaced": "\n".join(
         [
             "a0: &a0 [1, 2]",
             *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 40)),
         ]
     ),
-    "not YAML: more than 5000000 values": "\n".join(
+    "more than 5000000 values": "\n".join(
         ["a0: &a0 {b: 1}", *(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}" for i in range(1, 40))]
     ),
-    "not YAML: an alias names what it is part of": "part: &a {length: *a}",
-    "not YAML: month must be in": "part: 2026-99-01",
-    "not YAML: Exceeds the limit": f"part: {'9' * 5000}",
+    "an alias names what it is part of": "part: &a {length: *a}",
+    "part = '2026-99-01' must be a mapping of keys": "part: 2026-99-01",
+    "Exceeds the limit": f"part: {'9' * 5000}",
+    "not YAML: '1:30' is not of the type int": "part: {length: !!int 1:30}",
+    "not YAML: 'yes' is not of the type bool": "part: {ready: !!bool yes}",
+    "not YAML: 1e999 is beyond the range": "part: {length: 1e999}",
     "missing section 'part'": "other: {length: 1.0}",
     "part: missing key 'length'": "part: {}",
 }
@@ -197,5 +293,9 @@ def test_a_value_is_taken_exactly_if_it_lies_in_its_range(value: float) -> None:
     "cls", [ChassisParameters, SteeringParameters, ControllerSettings, SizeParameters]
 )
 def test_every_number_has_a_range_and_a_unit(cls: type[Checked]) -> None:
-    for item in fields(cls):
-        assert "options" in item.metadata or {"low", "high", "unit"} <= set(item.metadata)
+    for kind in hints(cls).values():
+        _, declared = unwrap(kind)
+        assert declared
+        assert declared.extra
+        assert declared.extra["meaning"]
+        assert "options" in declared.extra or declared.ge is not None

@@ -29,8 +29,8 @@ def test_interpolation_is_that_of_numpy_bit_for_bit(
 def test_section_is_that_of_a_search_of_numpy(at: list[float], place: float) -> None:
     places = np.array(sorted(at))
     for where in (place, *places.tolist()):
-        found = np.searchsorted(places, where, side="right") - 1
-        assert section(where, places) == np.clip(found, 0, len(at) - 2)
+        actual = np.searchsorted(places, where, side="right") - 1
+        assert section(where, places) == np.clip(actual, 0, len(at) - 2)
 
 
 def test_place_that_is_no_number_has_no_value() -> None:

@@ -15,16 +15,15 @@ from ampc_msgs_config.metrics import (
     ticks,
     time_where,
 )
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 ROAD = make_path([(0.0, 0.0), (100.0, 0.0)])
 SLOPE = make_path([(0.0, 0.0), (60.0, 80.0)])
 
 
 def drive(left: list[float], steering: list[float], times: list[float]) -> Drive:
-    """Give a drive along the x axis at 10 m/s with these offsets, angles and times."""
+    """Return a drive along the x axis at 10 m/s with these offsets, angles and times."""
     states = [
         VehicleState(round(t * NANOSECONDS), 10.0 * t, y, 0.0, 10.0, 0.0, 0.0)
         for t, y in zip(times, left, strict=True)
@@ -33,7 +32,7 @@ def drive(left: list[float], steering: list[float], times: list[float]) -> Drive
 
 
 def along_slope(left: Array) -> Drive:
-    """Give a drive parallel to SLOPE, to its left."""
+    """Return a drive parallel to SLOPE, to its left."""
     s, yaw = 10.0 * np.arange(len(left)), math.atan2(80.0, 60.0)
     states = [
         VehicleState(
@@ -51,7 +50,7 @@ def along_slope(left: Array) -> Drive:
 
 
 def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
-    found = evaluate(
+    actual = evaluate(
         drive([1.0, -2.0, 0.0], [0.0, math.radians(3.0), math.radians(-1.0)], [5.0, 5.1, 5.2]),
         ROAD,
         base_link_to_cg=1.6,
@@ -73,8 +72,8 @@ def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
         "solve_time_p99_us": 29.8,
         "solve_time_max_us": 30.0,
     }
-    assert found == pytest.approx({**found, **expected})
-    assert expected.keys() <= found.keys()
+    assert actual == pytest.approx({**actual, **expected})
+    assert expected.keys() <= actual.keys()
 
 
 @pytest.mark.parametrize(

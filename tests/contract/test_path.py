@@ -1,4 +1,4 @@
-"""Paths: geometry against curves that are known exactly, projection against brute force."""
+"""Paths: geometry against exact curves, projection against brute force."""
 
 import math
 from typing import Any
@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.paths.path import (
-    LOST,
-    Array,
+    MAX_PROJECTION_DISTANCE,
     Path,
     Progress,
     cross_track_error,
@@ -20,26 +20,26 @@ from ampc_msgs_config.paths.path import (
 )
 from ampc_msgs_config.paths.path_fitting import MAX_LENGTH, make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, rotate, set_point
-from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=60, deadline=None, derandomize=True)
 both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def arc(radius: float, angle: float, count: int = 60) -> Array:
-    """Give points of an arc that starts in the origin along x; a negative radius turns right."""
+    """Return points of an arc that starts in the origin along x; a negative radius turns right."""
     turned = np.linspace(0.0, angle, count, dtype=np.float64)
     return np.column_stack((abs(radius) * np.sin(turned), radius * (1 - np.cos(turned))))
 
 
 def wave(count: int = 200) -> Array:
-    """Give points of two periods of a sine of 3 m and 60 m."""
+    """Return points of two periods of a sine of 3 m and 60 m."""
     x = np.linspace(0.0, 120.0, count, dtype=np.float64)
     return np.column_stack((x, 3.0 * np.sin(math.tau * x / 60.0)))
 
 
 def figure_of_eight() -> Array:
-    """Give points of a curve that crosses itself in the origin at right angles."""
+    """Return points of a curve that crosses itself in the origin at right angles."""
     t = np.linspace(-0.9 * math.pi, 0.9 * math.pi, 400, dtype=np.float64)
     return 60.0 * np.column_stack((np.sin(t), np.sin(t) * np.cos(t)))
 
@@ -50,7 +50,7 @@ def moved(points: Array, turn: float = 0.0, by: tuple[float, float] = (0.0, 0.0)
 
 
 def state_at(path: Path, s: float, left: float = 0.0) -> VehicleState:
-    """Give a car that heads along the path at arc length s, some way to its left [m]."""
+    """Return a car that heads along the path at arc length s, some way to its left [m]."""
     x, y, yaw, _ = point_at(path, s)
     x, y = x - left * math.sin(yaw), y + left * math.cos(yaw)
     return VehicleState(0, x, y, wrap_angle(yaw), 9.0, 0.0, 0.0)
@@ -196,8 +196,8 @@ def test_progress_decides_where_a_path_crosses_itself(yaw_known: bool) -> None:
     progress = Progress(path)
     for s in np.arange(0.0, path.length, 1.0):
         car = state_at(path, float(s), left=0.3)
-        found = progress.advance(car.x, car.y, car.yaw if yaw_known else math.nan)
-        assert found == pytest.approx(s, abs=0.1)
+        actual = progress.advance(car.x, car.y, car.yaw if yaw_known else math.nan)
+        assert actual == pytest.approx(s, abs=0.1)
 
 
 def test_car_is_first_caught_by_a_part_of_the_path_that_leads_its_way() -> None:
@@ -230,7 +230,7 @@ def test_car_that_is_carried_away_is_caught_again() -> None:
     progress = Progress(path)
     progress.advance(10.0, 0.0)
     assert progress.advance(400.0, 1.0) == pytest.approx(400.0, abs=1e-6)
-    assert LOST < 390.0
+    assert MAX_PROJECTION_DISTANCE < 390.0
 
 
 def test_circuit_is_closed_and_goes_on_lap_after_lap() -> None:

@@ -33,7 +33,7 @@ def csv_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 def speeds(scenario: Scenario, *places: float) -> list[float]:
-    """Give the speed at these arc lengths [m/s]."""
+    """Return the speed at these arc lengths [m/s]."""
     return [speed_at(scenario.speed, place) for place in places]
 
 

@@ -1,4 +1,4 @@
-"""Any list of points becomes a path that can be driven; places on it are found in constant time."""
+"""Any list of points becomes a path that can be driven; projections onto it take constant time."""
 
 import math
 from typing import Any
@@ -13,7 +13,6 @@ from ampc_msgs_config.paths.path import (
     AHEAD,
     BEHIND,
     NOT_CAUGHT,
-    Array,
     Path,
     Progress,
     advance,
@@ -21,6 +20,7 @@ from ampc_msgs_config.paths.path import (
     point_at,
 )
 from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import Array
 
 RADIUS = 50.0
 
@@ -112,10 +112,10 @@ def test_where_a_path_crosses_itself_progress_decides() -> None:
     progress, last = Progress(eight), 0.0
     for s in np.arange(0.0, 2 * eight.length, 1.0).tolist():
         point = point_at(eight, s)
-        found = progress.advance(point.x, point.y, point.heading)
-        assert found == pytest.approx(s, abs=0.05)
-        assert found >= last
-        last = found
+        actual = progress.advance(point.x, point.y, point.heading)
+        assert actual == pytest.approx(s, abs=0.05)
+        assert actual >= last
+        last = actual
 
 
 @pytest.mark.parametrize("count", [1_000, 20_000])
@@ -130,6 +130,6 @@ def test_each_step_looks_at_a_window_of_constant_size(count: int) -> None:
         seen = slice(index - behind, index + before + 1)
         lure = path._replace(x=np.full_like(path.x, ahead.x), y=np.full_like(path.y, ahead.y))
         lure.x[seen], lure.y[seen] = path.x[seen], path.y[seen]
-        found = advance(lure, index, ahead.x, ahead.y, ahead.heading)
-        assert found == advance(path, index, ahead.x, ahead.y, ahead.heading)
-        assert found[0] == pytest.approx(s + 5.0, abs=1e-3)
+        actual = advance(lure, index, ahead.x, ahead.y, ahead.heading)
+        assert actual == advance(path, index, ahead.x, ahead.y, ahead.heading)
+        assert actual[0] == pytest.approx(s + 5.0, abs=1e-3)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numba.core.dispatcher import Dispatcher
 
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.frames import as_received, at_distance
 from ampc_msgs_config.paths.path import (
     AHEAD,
     BEHIND,
     FIRST_CATCH,
-    LOST,
+    MAX_PROJECTION_DISTANCE,
     NOT_CAUGHT,
-    Array,
     Path,
     Progress,
     advance,
@@ -29,14 +29,14 @@ from ampc_msgs_config.paths.path import (
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame, place, set_point
 from ampc_msgs_config.scenarios.scenario import SpeedProfile, target_speed
-from ampc_msgs_config.types import VehicleState, as_received, at_distance
+from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=150, deadline=None, derandomize=True)
 Pose = tuple[float, float, float]
 
 
 def catch_by_arrays(path: Path, x: float, y: float, yaw: float) -> int:
-    """Give what `first_catch` gives, by masks over all samples."""
+    """Return the result of `first_catch`, by masks over all samples."""
     distance = np.hypot(path.x - x, path.y - y)
     leads_away = np.cos(path.heading - yaw) < 0
     if not leads_away.all():
@@ -47,7 +47,7 @@ def catch_by_arrays(path: Path, x: float, y: float, yaw: float) -> int:
 
 
 def advance_by_arrays(path: Path, index: int | None, pose: Pose) -> tuple[float, int]:
-    """Give what `advance` gives; the index is None before the first catch."""
+    """Return the result of `advance`; the index is None before the first catch."""
     reach = math.ceil(BEHIND / path.spacing), math.ceil(AHEAD / path.spacing)
     for known in (index, None):
         i = catch_by_arrays(path, *pose) if known is None else known
@@ -56,21 +56,21 @@ def advance_by_arrays(path: Path, index: int | None, pose: Pose) -> tuple[float,
             window = [max(window[0], 0), min(window[1], len(path.x))]
         s = project(path, pose[0], pose[1], window[0], window[1])
         point = point_at(path, s)
-        if math.hypot(point.x - pose[0], point.y - pose[1]) <= LOST:
+        if math.hypot(point.x - pose[0], point.y - pose[1]) <= MAX_PROJECTION_DISTANCE:
             break
     nearest = round(s / path.spacing)
     return s, nearest if path.closed else min(max(nearest, 0), len(path.x) - 1)
 
 
 def winding(bends: list[float]) -> Path:
-    """Give a path of 20 m for each of these curvatures [1/m]; it may cross itself often."""
+    """Return a path of 20 m for each of these curvatures [1/m]; it may cross itself often."""
     heading = np.cumsum(np.repeat(bends, 10) * 2.0)
     steps = 2.0 * np.column_stack((np.cos(heading), np.sin(heading)))
     return make_path(np.cumsum(steps, axis=0))
 
 
 def circuit(radius: float) -> Path:
-    """Give a closed circle about the origin."""
+    """Return a closed circle about the origin."""
     angle = np.arange(0.0, math.tau, 1.0 / radius, dtype=np.float64)
     return make_path(radius * np.column_stack((np.cos(angle), np.sin(angle))))
 
@@ -97,8 +97,8 @@ def test_progress_is_that_of_a_search_with_arrays_bit_for_bit(
         s += forwards
         point = point_at(path, s)
         x, y = point.x - left * math.sin(point.heading), point.y + left * math.cos(point.heading)
-        found, index = advance_by_arrays(path, index, (x, y, point.heading + turned))
-        assert (progress.advance(x, y, point.heading + turned), progress.index) == (found, index)
+        actual, index = advance_by_arrays(path, index, (x, y, point.heading + turned))
+        assert (progress.advance(x, y, point.heading + turned), progress.index) == (actual, index)
 
 
 @many
@@ -131,19 +131,19 @@ class Swarm(NamedTuple):
 
 
 @compiled
-def driven(swarm: Swarm, state: VehicleState, steps: int, told: Array) -> int:
+def driven(swarm: Swarm, state: VehicleState, steps: int, results: Array) -> int:
     """Drive along X as a compiled loop does, telling the numbers of each step; gives the index."""
     index = NOT_CAUGHT
     for _ in range(steps):
         car = as_received(at_distance(state, 1.5))
         s, index = advance(swarm.path, index, car.x, car.y, car.yaw)
-        told[0], told[1] = errors_at(swarm.path, s, car.x, car.y, car.yaw)
+        results[0], results[1] = errors_at(swarm.path, s, car.x, car.y, car.yaw)
         elapsed = (state.stamp_ns - 1_700_000_000_000_000_000) / 1e9
-        told[2], index = target_speed(
+        results[2], index = target_speed(
             swarm.profile, swarm.path, index, elapsed, car.x, car.y, car.yaw
         )
-        told[3], told[4], told[5] = place(swarm.frame, car.x, car.y, car.yaw)
-        told[6] = set_point(swarm.frame, told[3])
+        results[3], results[4], results[5] = place(swarm.frame, car.x, car.y, car.yaw)
+        results[6] = set_point(swarm.frame, results[3])
         stamp_ns, x, y, yaw, v_x, v_y, yaw_rate = state
         state = VehicleState(stamp_ns + 10**7, x + 0.01 * v_x, y, yaw, v_x, v_y, yaw_rate)
     return index
@@ -155,14 +155,17 @@ def test_no_step_of_a_compiled_drive_allocates(over_distance: bool) -> None:
     path = winding([0.01, -0.01, 0.0, 0.02])
     table = np.array([0.0, 40.0]), np.array([5.0, 9.0])
     swarm = Swarm(path, path_frame(path), SpeedProfile(over_distance, *table))
-    state, told = VehicleState(1_700_000_000_123_456_789, 0.0, 0.0, 0.1, 5.0, 0.1, 0.2), np.zeros(7)
+    state, results = (
+        VehicleState(1_700_000_000_123_456_789, 0.0, 0.0, 0.1, 5.0, 0.1, 0.2),
+        np.zeros(7),
+    )
     runtime: Any = import_module("numba.core.runtime")
     import_module("numba.core.runtime._nrt_python").memsys_enable_stats()
     allocations = []
     for steps in (1, 1, 1000):
         before = runtime.rtsys.get_allocation_stats().mi_alloc
-        index = driven(swarm, state, steps, told)
+        index = driven(swarm, state, steps, results)
         allocations.append(runtime.rtsys.get_allocation_stats().mi_alloc - before)
     assert allocations[2] == allocations[1]  # those of the call itself
     assert index == pytest.approx(50.0 / path.spacing, rel=0.1)
-    assert np.isfinite(told).all()
+    assert np.isfinite(results).all()

@@ -1,4 +1,4 @@
-"""Scenarios: the shipped ones against their definition, and what is said about bad ones."""
+"""Scenarios: the shipped ones against their definition, and the errors of bad ones."""
 
 import math
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.curves import ISO_ENTRY, q
-from ampc_msgs_config.paths.path import Array, point_at, project
+from ampc_msgs_config.paths.path import point_at, project
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import (
     SPEED_PREVIEW,
@@ -26,7 +26,7 @@ from ampc_msgs_config.scenarios.scenario import (
     wind_of_drive,
 )
 from ampc_msgs_config.scenarios.wind import wind_at, wind_of_steps
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
 many = settings(max_examples=60, deadline=None, derandomize=True)
@@ -38,14 +38,14 @@ def shipped_scenario(name: str) -> Scenario:
 
 
 def tanh_lane_change(X: Array) -> Array:
-    """Give Y(X) of sc1_falcone."""
+    """Return Y(X) of sc1_falcone."""
     z1 = 2.4 / 25 * (X - 27.19) - 1.2
     z2 = 2.4 / 21.95 * (X - 56.46) - 1.2
     return np.asarray(4.05 / 2 * (1 + np.tanh(z1)) - 5.7 / 2 * (1 + np.tanh(z2)))
 
 
 def moves(starts: list[float], lengths: list[float], ends: list[float], X: Array) -> Array:
-    """Give Y(X) that moves with q from one place to the next."""
+    """Return Y(X) that moves with q from one place to the next."""
     steps = np.diff(ends, prepend=0.0)
     return np.asarray(
         sum(d * q((X - a) / n) for a, n, d in zip(starts, lengths, steps, strict=True))
@@ -53,7 +53,7 @@ def moves(starts: list[float], lengths: list[float], ends: list[float], X: Array
 
 
 def sc3(X: Array) -> Array:
-    """Give Y(X) of sc3_constant."""
+    """Return Y(X) of sc3_constant."""
     starts, lengths = [90.0, 150, 215, 300, 365, 430], [50.0, 60, 70, 85, 50, 40]
     return moves(starts, lengths, [10.0, -8, 15, -15, 5, 0], X)
 
@@ -243,6 +243,34 @@ def test_start_of_a_path_that_begins_with_the_same_point_twice_heads_along_it() 
     assert Scenario("up", points, profile, 1.0).start[2] == pytest.approx(math.pi / 2)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2, -2.5])
+@pytest.mark.parametrize("offset", [1.5, -1.5])
+def test_start_offset_is_to_the_left_of_a_road_in_any_direction(turn: float, offset: float) -> None:
+    along = np.array([math.cos(turn), math.sin(turn)])
+    points = np.outer(np.arange(0.0, 50.0, 5.0), along) + np.array([3.0, -4.0])
+    profile = SpeedProfile(False, np.array([0.0]), np.array([5.0]))
+    x, y, yaw = Scenario("road", points, profile, 1.0, start_offset=offset).start
+    assert yaw == pytest.approx(turn)
+    assert (x, y) == pytest.approx((3.0 - offset * along[1], -4.0 + offset * along[0]))
+
+
+def test_sine_begins_without_a_kink_of_heading_and_with_its_full_amplitude_after_a_wave() -> None:
+    scenario = shipped_scenario("sine")
+    X, Y = scenario.points.T
+    assert abs(np.gradient(Y, X)[:3]).max() < 1e-3
+    full = X >= 80.0
+    np.testing.assert_allclose(Y[full], 2.0 * np.sin(math.tau * X[full] / 80.0), atol=1e-9)
+
+
+def test_path_of_a_scenario_is_fitted_once_for_equal_points() -> None:
+    scenario = shipped_scenario("sc1")
+    copy = scenario._replace(points=scenario.points.copy(), duration=1.0)
+    assert copy.path is scenario.path
+    for cached, fitted in zip(scenario.path, make_path(scenario.points), strict=True):
+        np.testing.assert_array_equal(cached, fitted)
+    assert scenario._replace(points=scenario.points + 1.0).path is not scenario.path
+
+
 def test_constant_speed_replaces_the_profile() -> None:
     scenario = load_scenario("sc2", SIZE, speed=4.0)
     assert {speed_at(scenario.speed, t) for t in (0.0, 7.0, 99.0)} == {4.0}
@@ -258,7 +286,7 @@ def test_speed_over_time_stays_within_its_points_and_its_ends_are_held(time: flo
 
 
 def at(time: float, x: float = 0.0) -> VehicleState:
-    """Give a car at a time [s] and a place on the x axis [m]."""
+    """Return a car at a time [s] and a place on the x axis [m]."""
     return VehicleState(round(time * NANOSECONDS), x, 0.0, 0.0, 5.0, 0.0, 0.0)
 
 
@@ -271,7 +299,7 @@ def test_planner_reads_time_from_its_first_state_and_ahead_by_the_preview() -> N
 
 
 def over_distance(speeds: list[float]) -> SpeedPlanner:
-    """Give a planner of a straight road with these speeds every 10 m."""
+    """Return a planner of a straight road with these speeds every 10 m."""
     place = np.arange(0.0, 10.0 * len(speeds), 10.0, dtype=np.float64)
     points = np.column_stack((place, 0.0 * place))
     profile = SpeedProfile(True, place, np.array(speeds))
@@ -317,40 +345,42 @@ BAD: dict[str, dict[str, Any]] = {
     "missing key 'path'": {"path": None},
     "missing key 'speed'": {"speed": None},
     "missing key 'duration'": {"duration": None},
-    "scenario: unknown key 'sped'": {"sped": 1},
-    r"duration = 0 must be a number in \[0.1, 100000\]": {"duration": 0},
-    r"duration = nan must be a number": {"duration": math.nan},
+    "unknown key 'sped'; known are path, speed": {"sped": 1},
+    r"duration = 0 must lie in \[0.1, 100000\]": {"duration": 0},
+    r"duration = nan must lie in": {"duration": math.nan},
     r"duration = True must be a number": {"duration": True},
     r"start_offset = '1' must be a number in \[-100, 100\]": {"start_offset": "1"},
     r"path = 'straight' must be a mapping": {"path": "straight"},
-    r"missing key 'kind'": {"path": {}},
-    r"path: kind = 'spiral' must be one of moves, .*same_as": {"path": {"kind": "spiral"}},
+    r"path: missing key 'kind'": {"path": {}},
+    r"path.kind = 'spiral' must be one of moves, .*same_as": {"path": {"kind": "spiral"}},
     r"path: unknown key 'raduis'": {"path": {"kind": "circle", "raduis": 3.0}},
-    r"path of kind sine: unknown key 'radius'; known are": {"path": {"kind": "sine", "radius": 3}},
-    r"missing key 'radius'": {"path": {"kind": "circle"}},
-    r"radius = 0.5 must be at least 1 m": {"path": {"kind": "circle", "radius": 0.5}},
-    r"part = 3 must be a number in \[1, 2\]": {"path": {"kind": "iso3888", "part": 3}},
-    r"moves = 5 must be a list": {"path": {"kind": "moves", "moves": 5}},
-    r"moves = 'left' must be a mapping": {"path": {"kind": "moves", "moves": ["left"]}},
-    r"over = 0 must be a number in \[0.1": {
+    r"path: unknown key 'radius'; known are kind, amp": {"path": {"kind": "sine", "radius": 3}},
+    r"path: missing key 'radius'": {"path": {"kind": "circle"}},
+    r"path.radius = 0.5 must be at least 1 m": {"path": {"kind": "circle", "radius": 0.5}},
+    r"path.part = 3 must lie in \[1, 2\]": {"path": {"kind": "iso3888", "part": 3}},
+    r"path.moves = 5 must be a list": {"path": {"kind": "moves", "moves": 5}},
+    r"path.moves\[0\] = 'left' must be a mapping": {"path": {"kind": "moves", "moves": ["left"]}},
+    r"path.moves\[0\].over = 0 must lie in \[0.1": {
         "path": {"kind": "moves", "moves": [{**MOVE, "over": 0}]}
     },
-    r"by = 'far' must be": {"path": {"kind": "moves", "moves": [{**MOVE, "by": "far"}]}},
-    r"stretch = -1 must be": {"path": {"kind": "same_as", "scenario": "sc1", "stretch": -1}},
+    r"path.moves\[0\].by = 'far' must be a number": {
+        "path": {"kind": "moves", "moves": [{**MOVE, "by": "far"}]}
+    },
+    r"path.stretch = -1 must lie": {"path": {"kind": "same_as", "scenario": "sc1", "stretch": -1}},
     r"'sc9' is neither a file nor": {"path": {"kind": "same_as", "scenario": "sc9"}},
-    r"speed = 9 must be a list of \[time, speed\]": {"speed": 9},
-    r"speed = \[\[0, 'fast'\]\] must be a list": {"speed": [[0, "fast"]]},
-    r"speed = \[\[0, 1\], \[2\]\] must be a list": {"speed": [[0, 1], [2]]},
-    r"speed = \[\] must be a list": {"speed": []},
-    r"speed = \[\[0, nan\]\] must be a list": {"speed": [[0, math.nan]]},
-    r"speed: time 1 in row 3 must be greater than 2": {"speed": [[0, 5], [2, 5], [1, 5]]},
-    r"speed = 101 must lie in \[0, 100\] m/s": {"speed": [[0, 101]]},
-    r"speed = -1 must lie in \[0, 100\] m/s": {"speed": [[0, -1]]},
+    r"speed = 9 must be a list": {"speed": 9},
+    r"speed\[0\]\[1\] = 'fast' must be a number": {"speed": [[0, "fast"]]},
+    r"speed\[1\] = \[2\] must be a list of 2 entries": {"speed": [[0, 1], [2]]},
+    r"speed = \[\] must be a list of 1 to": {"speed": []},
+    r"speed\[0\]\[1\] = nan must lie in": {"speed": [[0, math.nan]]},
+    r"speed\[2\]: time 1 must be greater than 2": {"speed": [[0, 5], [2, 5], [1, 5]]},
+    r"speed\[0\]\[1\] = 101 must lie in \[0, 100\] m/s": {"speed": [[0, 101]]},
+    r"speed\[0\]\[1\] = -1 must lie in \[0, 100\] m/s": {"speed": [[0, -1]]},
     r"wind = 3 must be a list": {"wind": 3},
-    r"wind: kind = 'storm' must be gust or block": {"wind": [{**GUST, "kind": "storm"}]},
-    r"wind: unknown key 'form'": {"wind": [{**GUST, "form": 1}]},
-    r"end = 1.5 must be a number in \[2, 100000\]": {"wind": [{**GUST, "end": 1.5}]},
-    r"speed = 99 must be a number in \[-80, 80\]": {"wind": [{**GUST, "speed": 99}]},
+    r"wind\[0\].kind = 'storm' must be one of gust, block": {"wind": [{**GUST, "kind": "storm"}]},
+    r"wind\[0\]: unknown key 'form'": {"wind": [{**GUST, "form": 1}]},
+    r"wind\[0\].end = 1.5 must be at least 2": {"wind": [{**GUST, "end": 1.5}]},
+    r"wind\[0\].speed = 99 must lie in \[-80, 80\]": {"wind": [{**GUST, "speed": 99}]},
 }
 
 
@@ -366,7 +396,7 @@ def test_bad_scenario_is_refused_with_file_key_value_and_bound(
 def test_scenario_that_refers_to_itself_is_refused(key: str, tmp_path: Path) -> None:
     file = str(tmp_path / "mine.yaml")
     itself = {"kind": "same_as", "scenario": file} if key == "path" else {"same_as": file}
-    with pytest.raises(ValueError, match=rf"mine.yaml: {key} is the same as another's: name that"):
+    with pytest.raises(ValueError, match=rf"mine.yaml: {key} refers to another scenario"):
         load_scenario(written(tmp_path, **{key: itself}), SIZE)
 
 

@@ -30,10 +30,10 @@ LINE = np.array([[0.0, 0.0], [5.0, 0.0]])
 
 
 def drawn(view: View, car: Car = CAR) -> dict[tuple[str, int], Shape]:
-    """Give the shapes by name and number, which must tell them apart."""
-    found = shapes(view, car)
-    by_name = {(shape.name, shape.number): shape for shape in found}
-    assert len(by_name) == len(found)
+    """Return the shapes by name and number, which must tell them apart."""
+    actual = shapes(view, car)
+    by_name = {(shape.name, shape.number): shape for shape in actual}
+    assert len(by_name) == len(actual)
     return by_name
 
 
@@ -45,8 +45,8 @@ def test_body_reaches_from_bumper_to_bumper_about_the_rear_axle() -> None:
 
 
 def test_wheels_stand_at_the_axles_and_only_the_front_ones_turn() -> None:
-    found = drawn(View(NORTH, steering=0.3))
-    front_left, front_right, rear_left, rear_right = (found["car", i] for i in range(1, 5))
+    actual = drawn(View(NORTH, steering=0.3))
+    front_left, front_right, rear_left, rear_right = (actual["car", i] for i in range(1, 5))
     assert front_left.position[1] == front_right.position[1] == pytest.approx(22.8)
     assert rear_left.position[1] == rear_right.position[1] == pytest.approx(20.0)
     assert front_left.position[0] < 10.0 < front_right.position[0]
@@ -59,9 +59,9 @@ def test_rear_axle_is_found_from_where_odometry_is(at: str, to_cg: float) -> Non
     size = load(SizeParameters, find("vehicles", "paper"), "size")
     car = car_of(chassis, size, to_cg)
     ahead = 0.0 if at == "rear axle" else -chassis.cg_to_rear_axle
-    found = drawn(View(NORTH), car)
-    assert found["car", 3].position[1] == pytest.approx(20.0 + ahead)
-    assert found["car", 1].position[1] == pytest.approx(20.0 + ahead + chassis.wheelbase)
+    actual = drawn(View(NORTH), car)
+    assert actual["car", 3].position[1] == pytest.approx(20.0 + ahead)
+    assert actual["car", 1].position[1] == pytest.approx(20.0 + ahead + chassis.wheelbase)
 
 
 @given(st.floats(-1.2, 1.2), st.floats(1.5, 4.0), st.floats(1.0, 2.0))

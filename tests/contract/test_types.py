@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.types import (
-    VehicleState,
+from ampc_msgs_config.frames import (
     as_received,
     at_distance,
     quaternion_from_yaw,
     wrap_angle,
     yaw_from_quaternion,
 )
+from ampc_msgs_config.types import VehicleState
 
 many = settings(max_examples=200, deadline=None, derandomize=True)
 STAMP_NS = 1_700_000_000_123_456_789

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.adaptive_pso import (
     CONVERGENCE,
     EXPLOITATION,
@@ -20,7 +21,7 @@ from ampc_ros.pso.adaptive_pso import (
     learned,
 )
 from ampc_ros.pso.minimize import search
-from ampc_ros.pso.settings import Array, Dimension, PsoSettings, space
+from ampc_ros.pso.settings import Dimension, PsoSettings, space
 from ampc_ros.pso.swarm import Swarm, Task, Weights
 
 PLANE = (Dimension("x", -10.0, 10.0), Dimension("y", -4.0, 6.0))

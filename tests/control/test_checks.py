@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.frames import at_distance, wrap_angle
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.supervision import plausibility as track
 from ampc_ros.supervision.checks import StateFilter, Verdict
 from ampc_ros.supervision.plausibility import CAUSES, WINDOW

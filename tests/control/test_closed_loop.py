@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.config import find
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import Drive, errors, evaluate
 from ampc_msgs_config.paths.path import Path as ReferencePath
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import rotate
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, load_scenario
-from ampc_msgs_config.types import Command, VehicleState, at_distance
+from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
@@ -47,7 +49,7 @@ def judged(route: Scenario, controller: str, step_ns: int = 5_000_000) -> dict[s
 
 def mirrored(route: Scenario) -> Scenario:
     """Exchange left and right."""
-    wind = tuple(piece._replace(speed=-piece.speed) for piece in route.wind)
+    wind = tuple(replace(piece, speed=-piece.speed) for piece in route.wind)
     points = route.points * np.array([1.0, -1.0])
     return route._replace(points=points, wind=wind, start_offset=-route.start_offset)
 

@@ -19,10 +19,10 @@ from numba.core.runtime import _nrt_python, rtsys  # type: ignore[attr-defined]
 from ampc_msgs_config.compiled import compiled, in_place
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame
-from ampc_msgs_config.types import Diagnosis, VehicleState
+from ampc_msgs_config.types import Array, Diagnosis, VehicleState
 from ampc_ros.mpc.active_set import active_set, solver_numbers
 from ampc_ros.mpc.gain_table import BOUNDS, Gains, GainTable, Table
 from ampc_ros.mpc.hildreth import hildreth, hildreth_numbers

@@ -55,14 +55,20 @@ def test_controller_of_what_was_read_back_can_be_built(name: str) -> None:
 WRONG: list[tuple[tuple[str, ...], Any, str]] = [
     (("controller",), "lqr", "controller = 'lqr' must be one of preview, paper"),
     (("controller",), ["preview"], r"controller = \['preview'\] must be one of"),
-    (("chassis", "mass"), -1.0, r"chassis: mass = -1.0 must lie in \[1, 100000\] kg"),
+    (("chassis", "mass"), -1.0, r"chassis.mass = -1.0 must lie in \[1, 100000\] kg"),
     (("chassis", "colour"), 1.0, "chassis: unknown key 'colour'"),
-    (("chassis",), 3, "chassis: must be a mapping of keys, not 3"),
-    (("settings", "solver"), "magic", "settings: solver = 'magic' must be one of"),
-    (("settings", "state_late"), "1e-3", "settings: state_late = '1e-3' must be a number"),
-    (("steering", "lag"), 9.0, "steering: lag = 9.0 must lie in"),
-    (("guard", "speed"), [0.0, 0.0], "guard: "),
-    (("gains",), [1.0], r"gains = \[1.0\] must be a mapping"),
+    (("chassis",), 3, "chassis = 3 must be a mapping of keys"),
+    (("settings", "solver"), "magic", "settings.solver = 'magic' must be one of"),
+    (
+        ("settings", "state_late"),
+        "1:30",
+        "settings.state_late = '1:30' must be a number",
+    ),
+    (("steering", "lag"), 9.0, "steering.lag = 9.0 must lie in"),
+    (("guard", "speed"), [0.0, 0.0], "guard.max_angle = "),
+    (("gains",), [1.0], r"gains = \[1.0\] must be a mapping of keys"),
+    (("gains", "speed"), [], "gains.speed = "),
+    (("gains", "gains"), [{}], r"gains.gains\[0\]: missing key 'prediction_horizon'"),
     (("base_link_to_cg",), "far", "base_link_to_cg = 'far' must be a number"),
     (("base_link_to_cg",), float("nan"), r"base_link_to_cg = nan must lie in \[-20, 20\] m"),
     (("base_link_to_cg",), True, "base_link_to_cg = True must be a number"),
@@ -84,6 +90,25 @@ def test_wrong_values_are_refused_with_place_key_and_value(
     place[keys[-1]] = value
     with pytest.raises(ValueError, match=f"^{WHERE}: {message}"):
         from_yaml(yaml.safe_dump(content), WHERE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("  mass: 1575.0", "  mass: 1575.0\n  mass: 1600.0", "chassis.mass = 1600.0 in line"),
+        ("  mass: 1575.0", "  mass: 1:30", "chassis.mass = '1:30' must be a number in"),
+        ("  mass: 1575.0", "  mass: 0017", "chassis.mass = '0017' must be a number in"),
+        ("  mass: 1575.0", "  mass: 1_0", "chassis.mass = '1_0' must be a number in"),
+        ("  mass: 1575.0", f"  mass: 1{'0' * 400}", "chassis.mass = a whole number of 401 digits"),
+        ("  mass: 1575.0", "  mass: yes", "chassis.mass = 'yes' must be a number in"),
+        ("static_path: false", "static_path: no", "static_path = 'no' must be true or false"),
+    ],
+)
+def test_text_of_a_bag_is_read_as_strictly_as_a_file(old: str, new: str, message: str) -> None:
+    text = to_yaml(configuration(Choices()), 1)
+    assert old in text
+    with pytest.raises(ValueError, match=f"^{WHERE}: {message}"):
+        from_yaml(text.replace(old, new), WHERE)
 
 
 @pytest.mark.parametrize("key", ["number", "controller", "gains", "guard", "simulated_time"])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.constraints import FIRST_OUTPUT_STEP, output_rows, output_steps, row_count
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import limits_of

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState, at_distance
+from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.paths.path import LOST, Path
+from ampc_msgs_config.paths.path import MAX_PROJECTION_DISTANCE, Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import (
     FEED_FORWARD,
@@ -233,9 +233,9 @@ def test_stop_after_the_feed_forward_keeps_its_angle() -> None:
 
 REFUSALS = [  # v_x [m/s], heading and cross-track error, reason
     (9.0, 0.0, 0.0, NO_REASON),
-    (9.0, 0.0, LOST, NO_REASON),
-    (9.0, 0.0, np.nextafter(LOST, 100), OFF_PATH),
-    (9.0, 0.0, -np.nextafter(LOST, 100), OFF_PATH),
+    (9.0, 0.0, MAX_PROJECTION_DISTANCE, NO_REASON),
+    (9.0, 0.0, np.nextafter(MAX_PROJECTION_DISTANCE, 100), OFF_PATH),
+    (9.0, 0.0, -np.nextafter(MAX_PROJECTION_DISTANCE, 100), OFF_PATH),
     (9.0, math.pi / 2, 0.0, NO_REASON),
     (9.0, np.nextafter(math.pi / 2, 4), 0.0, AGAINST_PATH),
     (9.0, -np.nextafter(math.pi / 2, 4), 0.0, AGAINST_PATH),
@@ -259,7 +259,7 @@ def test_every_controller_is_stopped_where_it_cannot_steer(name: str) -> None:
     for reason, state in (
         (BACKWARDS, at(NANOSECONDS, v_x=-1.0)),
         (AGAINST_PATH, at(NANOSECONDS, yaw=3.0)),
-        (OFF_PATH, at(NANOSECONDS, y=LOST + 1.0)),
+        (OFF_PATH, at(NANOSECONDS, y=MAX_PROJECTION_DISTANCE + 1.0)),
     ):
         config = made_for("paper", name)
         ladder = Ladder(config, build_controller(config))
@@ -433,7 +433,7 @@ def climb(
     for k, fault in enumerate(["none", *faults, "none"]):
         now_ns = NANOSECONDS + ns(0.1 * k)
         supervisor.ladder.qp_fault = fault == "qp"
-        away = LOST + 10.0 if fault == "off" else 0.0
+        away = MAX_PROJECTION_DISTANCE + 10.0 if fault == "off" else 0.0
         state = VehicleState(
             now_ns, 20.0 + 0.1 * v_x * k, side * (y + away), side * yaw, v_x, 0.0, 0.0
         )

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
-from ampc_msgs_config.types import VehicleState, at_distance
+from ampc_msgs_config.types import Array, VehicleState
 from ampc_ros.configuration import CLASSIC_SPEED, CONTROLLERS, Choices
 from ampc_ros.controller import make_controller, warm_up
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.model import DELTA, MIN_SPEED, STATES
 from tests.filled import augment, exponential_integrals, lateral_dynamics, zero_order_hold
 

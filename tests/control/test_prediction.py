@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from tests.filled import augment, laguerre_sequence, predict, quadratic_cost, zero_order_hold
 
 CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))

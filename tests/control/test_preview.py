@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.paths.path import Array, Path, Progress
+from ampc_msgs_config.paths.path import Path, Progress
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import SpeedProfile, load_scenario
 from ampc_msgs_config.scenarios.wind import Wind
@@ -23,9 +24,9 @@ from ampc_msgs_config.types import (
     STANDSTILL,
     TRACKING,
     WRONG_WAY,
+    Array,
     Command,
     VehicleState,
-    at_distance,
 )
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
@@ -234,7 +235,7 @@ def test_a_figure_eight_is_driven_for_two_laps() -> None:
 
 
 def test_side_wind_leaves_no_error_and_is_estimated() -> None:
-    wind = (Wind("block", 0.0, 100.0, 15.0),)
+    wind = (Wind(kind="block", start=0.0, end=100.0, speed=15.0),)
     scenario = load_scenario("straight", CAR.size, 15.0)._replace(
         start_offset=0.0, wind=wind, duration=15.0
     )

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator, actuator_of
 from ampc_ros.mpc.model import DELTA, MIN_SPEED, STATES, V_Y, YAW_RATE, Vehicle
 from ampc_ros.mpc.small_matrices import make_scratch

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import Minimum, minimize, search
-from ampc_ros.pso.settings import VARIANTS, Array, Dimension, PsoSettings
+from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
 from ampc_ros.pso.swarm import Swarm
 from ampc_ros.pso.weights import scheduled
 

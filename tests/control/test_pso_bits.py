@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import Map, at_once, minimize, search
-from ampc_ros.pso.settings import VARIANTS, Array, Dimension, PsoSettings
+from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
 from ampc_ros.pso.swarm import Swarm, from_json, to_json
 
 PLANE = (Dimension("x", -10.0, 10.0), Dimension("y", -4.0, 6.0))

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import minimize, search
-from ampc_ros.pso.settings import VARIANTS, Array, Dimension, PsoSettings
+from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
 from ampc_ros.pso.swarm import from_json, to_json
 
 LINE = (Dimension("x", -10.0, 10.0),)
@@ -85,7 +86,7 @@ def test_bounds_that_cannot_be_are_named(bounds: tuple[Dimension, ...], message:
     ("chosen", "message"),
     [
         ({"particles": 1}, r"particles = 1 must lie in \[2, 1e\+06\]"),
-        ({"particles": 20.5}, "particles = 20.5 must be an integer"),
+        ({"particles": 20.5}, "particles = 20.5 must be a whole number"),
         ({"generations": -1}, r"generations = -1 must lie in \[0, 1e\+06\]"),
         ({"max_velocity": 0.0}, "max_velocity = 0.0 must lie in"),
         ({"max_velocity": math.nan}, "max_velocity = nan must lie in"),

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path, point_at
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import VehicleState
 from ampc_ros.pure_pursuit import PurePursuit
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")

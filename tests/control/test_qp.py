@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, linprog, minimize
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import INFEASIBLE, NOT_CONVEX, SOLVED, UNFINISHED, Qp, QpSolution
 from tests.filled import active_set, hildreth_solution
 

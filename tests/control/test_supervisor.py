@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import (
     FEED_FORWARD,
@@ -19,6 +18,7 @@ from ampc_msgs_config.types import (
     OPTIMAL,
     SHIFTED_PLAN,
     STOP,
+    Array,
     VehicleState,
 )
 from ampc_ros.configuration import CONTROLLERS, Configuration

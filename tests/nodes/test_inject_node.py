@@ -166,7 +166,7 @@ def test_start_names_what_is_wrong_with_a_file_of_faults(
     file = tmp_path / "mine.yaml"
     file.write_text("faults: [{kind: fire, start: 1, duration: 1}]", encoding="utf-8")
     assert start(["--faults", str(file)]) == 2
-    assert "mine.yaml: faults[0]: kind = 'fire' must be one of" in capsys.readouterr().out
+    assert "mine.yaml: faults[0].kind = 'fire' must be one of" in capsys.readouterr().out
 
 
 def test_a_run_with_faults_is_recorded_and_replays_bit_for_bit(tmp_path: Path) -> None:

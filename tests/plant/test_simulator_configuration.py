@@ -1,4 +1,4 @@
-"""A simulated drive as text: read back it is the same, bit for bit; what is wrong is named."""
+"""A simulated drive as text is restored bit for bit; errors name key and value."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import yaml
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
-from ampc_msgs_config.scenarios.scenario_yaml import document, mapping_of, scenario_of
+from ampc_msgs_config.scenarios.scenario_yaml import document, read_scenario, scenario_content
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
@@ -22,13 +22,13 @@ WHERE = "run/bag: simulator/configuration"
 
 
 def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> Configuration:
-    """Give the configuration of a shipped scenario and car."""
+    """Return the configuration of a shipped scenario and car."""
     car = load_vehicle(find("vehicles", vehicle))
     return Configuration(car, load_scenario(scenario, car.size), **options)
 
 
 def same_bits(a: Scenario, b: Scenario) -> bool:
-    """Tell whether two scenarios are equal in every bit."""
+    """Return whether two scenarios are equal in every bit."""
     rows = [(a.points, b.points), (a.speed.at, b.speed.at), (a.speed.speed, b.speed.speed)]
     rest = [(s.name, s.duration, s.wind, s.lanes, s.start_offset, s.start) for s in (a, b)]
     kinds = [(s.speed.over_distance, s.speed.period) for s in (a, b)]
@@ -79,48 +79,68 @@ def test_a_drive_with_the_car_read_back_gives_the_same_bits(
 
 def test_the_planner_tells_its_scenario_in_the_same_way() -> None:
     scenario = made_of("iso3888_1").scenario
-    content = yaml.safe_load(document({"scenario": mapping_of(scenario)}))
+    content = yaml.safe_load(document({"scenario": scenario_content(scenario)}))
     assert content["number"] == 1
-    assert same_bits(scenario_of(content["scenario"], "planner"), scenario)
+    assert same_bits(read_scenario(content["scenario"], "planner"), scenario)
 
 
 WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
     "no car": (("vehicle",), None, "vehicle = None must be a mapping of keys"),
     "no section": (("vehicle", "tyre"), ..., "vehicle: missing key 'tyre'"),
-    "mass": (("vehicle", "chassis", "mass"), -1.0, "vehicle: chassis: mass = -1.0 must lie in [1,"),
+    "mass": (("vehicle", "chassis", "mass"), -1.0, "vehicle.chassis.mass = -1.0 must lie in [1,"),
     "unknown": (("weather",), "rain", "unknown key 'weather'"),
     "no seed": (("seed",), ..., "missing key 'seed'"),
-    "seed": (("seed",), -1, "seed = -1 must be a number in [0,"),
-    "friction": (("friction",), 9.0, "friction = 9.0 must be a number in [0.01, 3]"),
-    "noise": (("noise",), {"position": -1.0}, "noise: position = -1.0 must lie in [0, 100] m"),
-    "step": (("step_ns",), 0, "step_ns = 0 must be a number in"),
+    "seed": (("seed",), -1, "seed = -1 must lie in [0,"),
+    "friction": (("friction",), 9.0, "friction = 9.0 must lie in [0.01, 3]"),
+    "noise": (("noise",), {"position": -1.0}, "noise.position = -1.0 must lie in [0, 100] m"),
+    "step": (("step_ns",), 0, "step_ns = 0 must lie in [10000, 2e+07] ns"),
     "mode": (("lock_step",), "yes please", "lock_step = 'yes please' must be true or false"),
     "scenario": (("scenario",), [], "scenario = [] must be a mapping of keys"),
-    "nan": (("scenario", "points", "y"), "0 nan", "y[1] = nan must be finite"),
-    "word": (("scenario", "points", "x"), "0 one", "x: could not convert string to float: 'one'"),
-    "list": (("scenario", "points", "x"), [0], "x = [0] must be numbers in one text"),
+    "nan": (("scenario", "points", "y"), "0 nan", "scenario.points.y[1] = nan must be finite"),
+    "word": (
+        ("scenario", "points", "x"),
+        "0 one",
+        "scenario.points.x: could not convert string",
+    ),
+    "list": (("scenario", "points", "x"), [0], "scenario.points.x = [0] must be text"),
     "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 1 to 1000000"),
-    "shorter": (("scenario", "points", "x"), "0 1", "points: x has 2 numbers and y "),
+    "shorter": (
+        ("scenario", "points", "x"),
+        "0 1",
+        "points.x has 2 numbers, its other row ",
+    ),
     "point": (("scenario", "points"), {"x": "1 1", "y": "0 0"}, "at least 2 are needed"),
-    "no points": (("scenario", "points"), {"x": "0", "y": "0"}, "points: 1 given, must be at"),
-    "no y": (("scenario", "points"), {"x": "0 1"}, "missing key 'y'"),
-    "profile": (("scenario", "speed", "speed"), "101", "speed = 101 must lie in [0, 100] m/s"),
-    "times": (("scenario", "speed", "at"), "0 1", "speed: at has 2 numbers and speed 1"),
+    "no points": (
+        ("scenario", "points"),
+        {"x": "0", "y": "0"},
+        "points.x has 1 numbers, must have",
+    ),
+    "no y": (("scenario", "points"), {"x": "0 1"}, "scenario.points: missing key 'y'"),
+    "profile": (
+        ("scenario", "speed", "speed"),
+        "101",
+        "scenario.speed[0] = 101.0 must lie in [0,",
+    ),
+    "times": (
+        ("scenario", "speed", "at"),
+        "0 1",
+        "speed.at has 2 numbers, its other row 1",
+    ),
     "kind": (("scenario", "speed", "over_distance"), 1, "over_distance = 1 must be true or false"),
     "period": (
         ("scenario", "speed", "period"),
         0.0,
-        "period = 0.0 must be a number in [0.001, inf]",
+        "scenario.speed.period = 0.0 must lie in [0.001, inf] m",
     ),
-    "duration": (("scenario", "duration"), 0.0, "duration = 0.0 must be a number in [0.1,"),
+    "duration": (("scenario", "duration"), 0.0, "scenario.duration = 0.0 must lie in [0.1,"),
     "wind": (
         ("scenario", "wind"),
-        [{"kind": "storm"}],
-        "wind: kind = 'storm' must be gust or block",
+        [{"kind": "storm", "start": 0, "end": 9, "speed": 1}],
+        "scenario.wind[0].kind = 'storm' must be one of gust, block",
     ),
-    "lanes": (("scenario", "lanes"), {}, "lanes = {} must be a list"),
-    "lane": (("scenario", "lanes"), [{"start": 0.0}], "missing key 'end'"),
-    "offset": (("scenario", "start_offset"), 1e3, "start_offset = 1000.0 must be a number in"),
+    "lanes": (("scenario", "lanes"), {}, "scenario.lanes = {} must be a list"),
+    "lane": (("scenario", "lanes"), [{"start": 0.0}], "scenario.lanes[0]: missing key 'end'"),
+    "offset": (("scenario", "start_offset"), 1e3, "scenario.start_offset = 1000.0 must lie in"),
 }
 
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 
 from ampc_msgs_config import config
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
+from ampc_msgs_config.types import Array
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import GRAVITY, Vehicle, load_vehicle, numbers
-from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, Array, X, Y
+from sim_vehicle.parameters import Vehicle, load_vehicle, numbers
+from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, X, Y
 from sim_vehicle.wheels import wheel_loads
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))

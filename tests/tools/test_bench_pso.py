@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import at_once, minimize
-from ampc_ros.pso.settings import Array, Dimension
+from ampc_ros.pso.settings import Dimension
 from launch_scripts.reporting.style import spread
 from launch_scripts.study.bench_pso import content, main
 from launch_scripts.study.bench_pso_figure import GAP, draw_curves

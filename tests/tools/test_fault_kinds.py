@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, wrap_angle
+from ampc_msgs_config.frames import wrap_angle
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from launch_scripts.faults.kinds import KINDS
 from launch_scripts.faults.messages import NODE, ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import Fault, Injector, Plan

@@ -31,23 +31,23 @@ def test_a_file_gives_its_faults_and_seed(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "faults: []": "faults must be a list of 1 to 10000 faults",
-    "seed: 1": "faults must be a list of 1 to 10000 faults",
-    "fault: []": "unknown key 'fault'; known are seed, faults",
-    "faults: [3]": "faults[0]: must be a mapping of keys, not 3",
-    "faults: [{kind: fire, start: 1, duration: 1}]": "[0]: kind = 'fire' must be one of drop,",
+    "faults: []": "faults = [] must be a list of 1 to 10000 entries",
+    "seed: 1": "missing key 'faults'",
+    "fault: []": "unknown key 'fault'; known are faults, seed",
+    "faults: [3]": "faults[0] = 3 must be a mapping of keys",
+    "faults: [{kind: fire, start: 1, duration: 1}]": "faults[0].kind = 'fire' must be one of drop,",
     "faults: [{kind: drop, duration: 1}]": "faults[0]: missing key 'start'",
     "faults: [{kind: drop, start: 1, duration: 1, much: 1}]": "faults[0]: unknown key 'much'",
-    "faults: [{kind: drop, start: -1, duration: 1}]": "start = -1.0 must lie in [0, 100000] s",
-    "faults: [{kind: drop, start: 1, duration: 0}]": "duration = 0.0 must lie in [0.001, 100000] s",
+    "faults: [{kind: drop, start: -1, duration: 1}]": "[0].start = -1 must lie in [0, 100000] s",
+    "faults: [{kind: drop, start: 1, duration: 0}]": "[0].duration = 0 must lie in [0.001, 1",
     "faults: [{kind: drop, start: 1, duration: .nan}]": "duration = nan must lie in",
     "faults: [{kind: drop, start: 1, duration: 1, amount: 2}]": "amount = 2.0 must lie in [0, 1]",
     "faults: [{kind: drop, start: 1, duration: 1, amount: all}]": "amount = 'all' must be a number",
-    "faults: [{kind: hold, start: 1, duration: 1, amount: 2}]": "amount = 2.0: hold has none",
+    "faults: [{kind: hold, start: 1, duration: 1, amount: 2}]": "[0].amount = 2.0 is not allowed",
     "faults: [{kind: nan, start: 1, duration: 1, field: z}]": "field = 'z' must be one of x, y,",
     "faults: [{kind: drop, start: 1, duration: 1}]\nseed: -1": "seed = -1 must lie in [0, 2.14748",
     "faults: [{kind: drop, start: 1, duration: 1}]\nseed: 1.5": "seed = 1.5 must be a whole number",
-    "faults: [{kind: drop, start: 1, duration: 1}]\nseed: a": "seed = 'a' must be a number",
+    "faults: [{kind: drop, start: 1, duration: 1}]\nseed: a": "seed = 'a' must be a whole number",
 }
 
 

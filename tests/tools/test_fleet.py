@@ -11,8 +11,8 @@ import pytest
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, load_scenario
+from ampc_msgs_config.types import Array
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.gain_table import GainTable, load_gain_table

@@ -273,6 +273,12 @@ def test_a_changed_value_is_checked_like_that_of_a_file() -> None:
     assert with_value("chassis.mass=1800")(config).chassis.mass == 1800
     with pytest.raises(ValueError, match=r"--set chassis.mass=-1: mass = -1 must lie in \[1, 1"):
         with_value("chassis.mass=-1")(config)
+    with pytest.raises(
+        ValueError, match=r"--set chassis.mass=1:30: mass = '1:30' must be a number"
+    ):
+        with_value("chassis.mass=1:30")(config)
+    with pytest.raises(ValueError, match=r"--set static_path=1: static_path = 1 must be true or"):
+        with_value("static_path=1")(config)
     with pytest.raises(ValueError, match=r"--set weight=1: must be key=value; keys are chassis"):
         with_value("weight=1")
 

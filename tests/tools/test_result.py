@@ -13,11 +13,10 @@ from std_msgs.msg import Float64
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.curves import Lane
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
 from launch_scripts.bags.drive_log import read_drive
 from launch_scripts.run.figure import draw
 from launch_scripts.run.options import options

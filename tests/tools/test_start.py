@@ -236,7 +236,7 @@ WRONG_OPTIONS = {
     "--noise=loud": "'loud' is neither a file nor one of the shipped noise: x1",
     "--path=none.csv": "none.csv: cannot be read: ",
     "--path=bad.csv": "bad.csv: line 3: 'nan' must be finite",
-    "--speed=nan": "speed = [[0.0, nan]] must be a list of [time, speed]",
+    "--speed=nan": "speed[0][1] = nan must lie in [0, 100] m/s",
     "--output=.": ".: cannot make this folder: File exists",
 }
 

@@ -13,9 +13,10 @@ from numba.core.runtime import nrt
 
 from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, flat_numbers, load_vehicle, numbers, numbers_of
-from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, Array, drive
+from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, drive
 from sim_vehicle.wheels import turn_wheels
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))

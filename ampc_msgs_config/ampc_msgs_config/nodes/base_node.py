@@ -22,10 +22,6 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.compiled import announced
-from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.path_file import Route, choose_scenario
-from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -162,26 +158,6 @@ def declare(
     if isinstance(allowed, list) and value not in allowed:
         raise ValueError(f"parameter {name} = {value!r} must be one of {', '.join(allowed)}")
     return value
-
-
-def declare_scenario(node: Node) -> Scenario:
-    """Declare the parameters that choose a drive, and load it."""
-    vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
-    default = Route()
-    route = Route(
-        declare(node, "scenario", default.scenario, "shipped scenario, or YAML file"),
-        declare(node, "path", default.path, "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead"),
-        declare(node, "speed", default.speed, "constant speed [m/s]; -1: as given", (-1, 100)),
-        declare(
-            node,
-            "lateral_acceleration",
-            default.lateral_acceleration,
-            "largest along the CSV's path [m/s^2]; -1: speed as given",
-            (-1, 20),
-        ),
-        declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
-    )
-    return choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
 
 
 def spin(make_node: Callable[[], BaseNode]) -> int:

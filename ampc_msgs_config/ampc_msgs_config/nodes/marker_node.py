@@ -23,11 +23,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.scene import NO_POINTS, Car, Shape, View, car_of, shapes, thinned
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import VehicleState, quaternion_from_yaw
+from ampc_msgs_config.types import Array, VehicleState
 
 PERIOD = 0.05
 """Wall time from one picture to the next [s]."""

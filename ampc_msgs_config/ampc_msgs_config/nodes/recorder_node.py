@@ -23,7 +23,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import topics
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import (
     BEST_EFFORT,
@@ -42,15 +43,15 @@ HOLD = 0.2
 QUIET = 0.3
 """Wall time without a message after which nothing is in flight any more [s]."""
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in TYPES.items() if name != ros.MARKERS
+    name: message_class(type_) for name, type_ in TYPES.items() if name != topics.MARKERS
 }
 """Markers show again what the others say, and would be three quarters of a bag."""
-LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST, ros.TF_STATIC, *ros.CONFIGURATIONS}
-DESCRIBING = (*ros.QUANTITIES, ros.PREDICTED_PATH, ros.TICK)
+LATCHED = {topics.REFERENCE_PATH, topics.STOP_REQUEST, topics.TF_STATIC, *topics.CONFIGURATIONS}
+DESCRIBING = (*topics.QUANTITIES, topics.PREDICTED_PATH, topics.TICK)
 """What the controller publishes about its last command."""
-SHARED_TOPICS = {ros.PARAMETER_EVENTS, ros.ROSOUT}
+SHARED_TOPICS = {topics.PARAMETER_EVENTS, topics.ROSOUT}
 """Topics on which every node speaks: what they said before the recorder came is not missed."""
-TRANSFORMS = {ros.TF: ros.RELIABLE, ros.TF_STATIC: ros.LATCHED}
+TRANSFORMS = {topics.TF: qos.RELIABLE, topics.TF_STATIC: qos.LATCHED}
 
 
 class Recorder(Node):
@@ -69,8 +70,8 @@ class Recorder(Node):
         items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         further = parse_topics(items)
         self.arrivals = self.empty_arrivals()
-        self.odom = self.resolve_topic_name(ros.ODOM)
-        self.derives_transforms = ros.TF not in map(self.resolve_topic_name, further)
+        self.odom = self.resolve_topic_name(topics.ODOM)
+        self.derives_transforms = topics.TF not in map(self.resolve_topic_name, further)
         self.inputs: dict[str, Subscription] = {}
         self.refused: set[str] = set()
         self.first_numbers: dict[str, int] = {}
@@ -90,8 +91,8 @@ class Recorder(Node):
         full = self.resolve_topic_name
         return Arrivals(
             simulated=bool(self.get_parameter("use_sim_time").value),
-            clock=full(ros.CLOCK),
-            command=full(ros.STEERING_COMMAND),
+            clock=full(topics.CLOCK),
+            command=full(topics.STEERING_COMMAND),
             quantities={full(name) for name in DESCRIBING},
             latched={full(name) for name in LATCHED},
         )
@@ -138,7 +139,7 @@ class Recorder(Node):
 
     def on_timer(self) -> None:
         """Write what has waited long enough, and adapt to other publishers."""
-        if ros.TF in self.inputs and self.count_publishers(ros.TF):
+        if topics.TF in self.inputs and self.count_publishers(topics.TF):
             self.derives_transforms = False
         self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
         for arrival in self.arrivals.take_undated():
@@ -180,9 +181,9 @@ class Recorder(Node):
         place = pose_transform(odometry.data)
         if place is None:
             return
-        transforms = {ros.TF: place}
-        if ros.TF_STATIC not in self.recording.topics:
-            transforms = {ros.TF_STATIC: footprint_transform(odometry.data), ros.TF: place}
+        transforms = {topics.TF: place}
+        if topics.TF_STATIC not in self.recording.topics:
+            transforms = {topics.TF_STATIC: footprint_transform(odometry.data), topics.TF: place}
         for topic, data in transforms.items():
             if topic not in self.recording.topics:
                 self.recording.add_topic(topic, TF_MESSAGE, [TRANSFORMS[topic]])

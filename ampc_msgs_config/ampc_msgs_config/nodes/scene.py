@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import VehicleState, at_distance
+from ampc_msgs_config.types import Array, VehicleState
 
 MOST_POINTS = 500
 """Of a path that is drawn."""

@@ -1,24 +1,32 @@
 """Analytic paths of the scenarios: the paper's lane changes, ISO 3888, simple shapes."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
-from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked, described, number
 
 
 class Lane(NamedTuple):
-    """A gate of cones of an ISO track, from `start` to `end` along X [m]."""
+    """Gate of cones of an ISO track, with the range of X and Y that it leaves free."""
 
-    start: float
-    end: float
-    right: float
-    left: float
+    start: Annotated[float, number(-1.0e6, 1.0e6, "m", "X at which the gate begins.")]
+    end: Annotated[float, number(-1.0e6, 1.0e6, "m", "X at which the gate ends.")]
+    right: Annotated[float, number(-1.0e6, 1.0e6, "m", "Y of the right row of cones.")]
+    left: Annotated[float, number(-1.0e6, 1.0e6, "m", "Y of the left row of cones.")]
+
+
+Curve = Callable[[Array], Array]
+"""Function from X or arc length (n,) [m] to points (n, 2) [m]."""
+Track = tuple[Curve, tuple[Lane, ...]]
+"""Curve, and the lanes of an ISO track."""
 
 
 @compiled
@@ -28,135 +36,125 @@ def q(z: Any) -> Any:
     return z * z * z * (10.0 + z * (6.0 * z - 15.0))
 
 
-def check_known(content: Any, keys: Iterable[str], where: str) -> None:
-    """Raise a ValueError unless `content` is a mapping with no other keys than these."""
-    if not isinstance(content, Mapping):
-        raise ValueError(f"{where} = {content!r} must be a mapping of keys")
-    for key in content:
-        if key not in keys:
-            raise ValueError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(keys))}")
+class PathShape(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
+    """Analytic path of a scenario file; `kind` selects one of the subclasses."""
 
 
-def bounded(
-    content: Mapping[str, Any], key: str, low: float, high: float, default: float | None = None
-) -> float:
-    """Give a number of a mapping, or raise a ValueError with key, value and bound."""
-    value = content[key] if default is None else content.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ValueError(f"{key} = {value!r} must be a number in [{low:g}, {high:g}]")
-    return float(value)
+@dataclass(frozen=True, kw_only=True)
+class Move(Checked):
+    """One lateral move of a path."""
+
+    start: Annotated[float, number(-1.0e5, 1.0e5, "m", "X at which the move begins.")]
+    over: Annotated[float, number(0.1, 1.0e5, "m", "Length of the move along X.")]
+    by: Annotated[float, number(-1.0e4, 1.0e4, "m", "Change of Y.")]
 
 
-def read_same_as(name: str, key: str) -> Any:
-    """Read the value of a key in the scenario that `same_as` names; it must be that one's own."""
-    file = config.find("scenarios", name)
-    value = config.read(file).get(key)
-    if value is None:
-        raise ValueError(f"{file}: missing key {key!r}")
-    if isinstance(value, Mapping) and (value.get("kind") == "same_as" or "same_as" in value):
-        raise ValueError(f"{file}: {key} is the same as another's: name that one")
-    return value
+class Moves(PathShape, frozen=True, tag="moves"):
+    """Sum of lateral moves with q(z) = 10 z^3 - 15 z^4 + 6 z^5."""
+
+    moves: tuple[Move, ...]
 
 
-Curve = Callable[[Array], Array]
+class TanhLaneChange(PathShape, frozen=True, tag="tanh_lane_change"):
+    """Smooth double lane change of the literature (Falcone)."""
 
 
-def make_curve(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
-    """Give a function from arc length or X (n,) to points (n, 2), and the lanes of ISO tracks."""
-    check_known(content, {"kind"}.union(*KEYS.values()), "path")
-    kind = content["kind"]
-    if kind not in KEYS:
-        raise ValueError(f"path: kind = {kind!r} must be one of {', '.join(KEYS)}")
-    check_known(content, {"kind", *KEYS[kind]}, f"path of kind {kind}")
-    if kind == "same_as":
-        return _same_as(content, size)
-    if kind == "iso3888":
-        return _iso3888(int(bounded(content, "part", 1, 2)), size.width)
-    return CURVES[kind](content), ()
+class Straight(PathShape, frozen=True, tag="straight"):
+    """Straight line along X."""
 
 
-def _same_as(content: Mapping[str, Any], size: SizeParameters) -> tuple[Curve, tuple[Lane, ...]]:
-    stretch = bounded(content, "stretch", 0.01, 100.0, 1.0)
-    curve, lanes = make_curve(read_same_as(content["scenario"], "path"), size)
-    longer = (lane._replace(start=lane.start * stretch, end=lane.end * stretch) for lane in lanes)
-    return (lambda x: curve(x / stretch) * np.array([stretch, 1.0])), tuple(longer)
+class Sine(PathShape, frozen=True, tag="sine"):
+    """Sine whose amplitude rises with q over the first wavelength."""
+
+    amplitude: Annotated[float, number(-1000.0, 1000.0, "m", "Amplitude.")]
+    wavelength: Annotated[float, number(1.0, 1.0e5, "m", "Wavelength.")]
 
 
-def _graph(function: Callable[[Array], Array]) -> Curve:
-    return lambda x: np.column_stack((x, function(x)))
+class Circle(PathShape, frozen=True, tag="circle"):
+    """Circle through the origin, tangent to X."""
+
+    radius: Annotated[
+        float, number(-1.0e5, 1.0e5, "m", "Radius, at least 1; positive: to the left.")
+    ]
+
+    def __post_init__(self) -> None:
+        """Check that the circle is no point."""
+        if abs(self.radius) < 1.0:
+            raise ValueError(f"radius = {self.radius:g} must be at least 1 m to either side")
 
 
-def _moves(content: Mapping[str, Any]) -> Curve:
-    if not isinstance(content["moves"], list):
-        raise ValueError(f"moves = {content['moves']!r} must be a list")
-    rows = [_move(row) for row in content["moves"]]
-    return _graph(lambda x: sum((by * q((x - at) / over) for at, over, by in rows), 0.0 * x))
+class Iso3888(PathShape, frozen=True, tag="iso3888"):
+    """Track of ISO 3888 for the width of the car."""
+
+    part: Annotated[int, number(1, 2, "", "Part of the standard.")]
 
 
-def _move(row: Any) -> tuple[float, float, float]:
-    check_known(row, ("start", "over", "by"), "moves")
-    start, over = bounded(row, "start", -1.0e5, 1.0e5), bounded(row, "over", 0.1, 1.0e5)
-    return start, over, bounded(row, "by", -1.0e4, 1.0e4)
+class StretchedPath(PathShape, frozen=True, tag="same_as"):
+    """Path of another scenario, stretched along X."""
+
+    scenario: Annotated[str, described("Shipped scenario, or YAML file.")]
+    stretch: Annotated[float, number(0.01, 100.0, "", "Factor along X.")] = 1.0
 
 
-def _tanh_lane_change(_: Mapping[str, Any]) -> Curve:
-    def lateral(x: Array) -> Array:
-        z1 = 2.4 / 25.0 * (x - 27.19) - 1.2
-        z2 = 2.4 / 21.95 * (x - 56.46) - 1.2
-        return np.asarray(4.05 / 2 * (1 + np.tanh(z1)) - 5.7 / 2 * (1 + np.tanh(z2)))
-
-    return _graph(lateral)
+AnyPath = Moves | TanhLaneChange | Straight | Sine | Circle | Iso3888 | StretchedPath
 
 
-def _straight(_: Mapping[str, Any]) -> Curve:
-    return _graph(np.zeros_like)
+def build_curve(shape: AnyPath, size: SizeParameters) -> Track:
+    """Return the curve of a path shape, and its lanes for a car of this size.
+
+    Args:
+        shape: Any shape but a `StretchedPath`, which refers to another scenario.
+        size: Outline of the car.
+    """
+    match shape:
+        case Moves(moves):
+            return _graph(lambda x: sum((m.by * q((x - m.start) / m.over) for m in moves), 0.0 * x))
+        case TanhLaneChange():
+            return _graph(_tanh_lane_change)
+        case Straight():
+            return _graph(np.zeros_like)
+        case Sine(amplitude, wavelength):
+            wave = math.tau / wavelength
+            return _graph(lambda x: amplitude * np.sin(wave * x) * q(x * wave / math.tau))
+        case Circle(r):
+            return (lambda s: r * np.column_stack((np.sin(s / r), 1 - np.cos(s / r)))), ()
+        case Iso3888(part):
+            return _iso3888(part, size.width)
+    raise TypeError(f"{shape} has no curve of its own")
 
 
-def _sine(content: Mapping[str, Any]) -> Curve:
-    amplitude = bounded(content, "amplitude", -1000.0, 1000.0)
-    wave = math.tau / bounded(content, "wavelength", 1.0, 1.0e5)
-    return _graph(lambda x: amplitude * np.sin(wave * x) * q(x * wave / math.tau))
+def stretched(track: Track, factor: float) -> Track:
+    """Return a track with X multiplied by a factor."""
+    curve, lanes = track
+    longer = (lane._replace(start=lane.start * factor, end=lane.end * factor) for lane in lanes)
+    return (lambda x: curve(x / factor) * np.array([factor, 1.0])), tuple(longer)
 
 
-def _circle(content: Mapping[str, Any]) -> Curve:
-    radius = bounded(content, "radius", -1.0e5, 1.0e5)
-    if abs(radius) < 1.0:
-        raise ValueError(f"radius = {radius:g} must be at least 1 m to either side")
-    return lambda s: radius * np.column_stack((np.sin(s / radius), 1 - np.cos(s / radius)))
+def _graph(function: Callable[[Array], Array]) -> Track:
+    """Return the curve of Y(X), without lanes."""
+    return (lambda x: np.column_stack((x, function(x)))), ()
 
 
-CURVES: dict[str, Callable[[Mapping[str, Any]], Curve]] = {
-    "moves": _moves,
-    "tanh_lane_change": _tanh_lane_change,
-    "straight": _straight,
-    "sine": _sine,
-    "circle": _circle,
-}
-KEYS: dict[str, tuple[str, ...]] = {
-    "moves": ("moves",),
-    "tanh_lane_change": (),
-    "straight": (),
-    "sine": ("amplitude", "wavelength"),
-    "circle": ("radius",),
-    "iso3888": ("part",),
-    "same_as": ("scenario", "stretch"),
-}
-"""What a path of each kind is given by."""
+def _tanh_lane_change(x: Array) -> Array:
+    z1 = 2.4 / 25.0 * (x - 27.19) - 1.2
+    z2 = 2.4 / 21.95 * (x - 56.46) - 1.2
+    return np.asarray(4.05 / 2 * (1 + np.tanh(z1)) - 5.7 / 2 * (1 + np.tanh(z2)))
+
 
 ISO_SECTIONS = {1: (15.0, 30.0, 25.0, 25.0, 30.0), 2: (12.0, 13.5, 11.0, 12.5, 12.0)}
 """Lengths of entry lane, change, side lane, change back, exit lane [m]."""
 ISO_ENTRY = 40.0
 """Straight approach before the first cone [m]."""
 ISO_ROOM = {1: (0.35, 0.3), 2: (0.35, 0.5)}
-"""Share of an outer lane and of the side lane that a change of lanes uses, at each end of it."""
+"""Share of an outer lane and of the side lane that a lane change uses at each of its ends."""
 
 
-def _iso3888(part: int, width: float) -> tuple[Curve, tuple[Lane, ...]]:
-    """Give the ISO 3888 track: smooth path from the middle to the middle of its lanes.
+def _iso3888(part: int, width: float) -> Track:
+    """Return the ISO 3888 track: a smooth path from the middle to the middle of its lanes.
 
-    A change begins before the end of one lane and ends after the start of the next, as far as the
-    lanes leave room beside the car; from cone to cone it would ask for 16 m/s^2. `ISO_ROOM` was
-    measured: with it the shipped ordinary car passes fastest (`acceptance.py --only iso3888`).
+    A lane change begins before the end of one lane and ends after the start of the next, as far as
+    the lanes leave room beside the car; from cone to cone it would need 16 m/s^2. With `ISO_ROOM`
+    the shipped ordinary car passes fastest (measured with `acceptance.py --only iso3888`).
 
     Note:
         Widths follow the vehicle's: 1.1 b + 0.25, then 1.2 b + 0.25 (part 1) or b + 1 (part 2),
@@ -187,4 +185,4 @@ def _iso3888(part: int, width: float) -> tuple[Curve, tuple[Lane, ...]]:
         rise, fall = (q((x - a) / (b - a)) for a, b in zip(begin, end, strict=True))
         return np.asarray(middle[0] + out * rise + back * fall)
 
-    return _graph(lateral), lanes
+    return _graph(lateral)[0], lanes

@@ -1,28 +1,24 @@
-"""A path as the controller needs it: heading, curvature, projection, progress along it."""
+"""Reference paths: heading, curvature, projection of the car, progress along the path."""
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import compiled
-from ampc_msgs_config.types import VehicleState, wrap_angle
-
-Array = NDArray[np.float64]
+from ampc_msgs_config.frames import wrap_angle
+from ampc_msgs_config.types import Array, VehicleState
 
 FIRST_CATCH = 3.0
-"""Where a path comes by twice, the first part counts that is nearest up to this [m]."""
+"""Where a path passes twice, its first part wins that is at most this much farther away [m]."""
 BEHIND, AHEAD = 5.0, 20.0
-"""Where the next projection is sought, from the last one [m]."""
-LOST = 25.0
-"""Farther than this from the path there, the whole path is searched again [m]."""
+"""Window of the next projection, from the last one [m]."""
+MAX_PROJECTION_DISTANCE = 25.0
+"""Distance from the path beyond which the whole path is searched again [m]."""
 NOT_CAUGHT = -(2**62)
-"""Index of a car that is not on the path yet; -1 may be one behind the start of a closed path."""
+"""Index before the first projection; -1 is a valid index behind the start of a closed path."""
 
 
 class Path(NamedTuple):
-    """A smooth curve, sampled at equal steps of arc length; compiled code takes it as it is."""
+    """Smooth curve, sampled at equal steps of arc length; argument of compiled code."""
 
     spacing: float
     """Arc length between samples [m]."""
@@ -35,7 +31,7 @@ class Path(NamedTuple):
     curvature: Array
     """(n,) curvature, positive to the left [1/m]."""
     closed: bool
-    """Whether it goes on at its start; then the last sample is the first one again."""
+    """Whether the end joins the start; then the last sample equals the first one."""
 
     @property
     def length(self) -> float:
@@ -44,7 +40,7 @@ class Path(NamedTuple):
 
 
 class PathPoint(NamedTuple):
-    """One point of a path."""
+    """Point of a path."""
 
     x: float
     y: float
@@ -54,16 +50,16 @@ class PathPoint(NamedTuple):
 
 @compiled
 def point_at(path: Path, s: float) -> PathPoint:
-    """Give the point at arc length `s` [m]; beyond an end an open path goes on straight."""
+    """Return the point at arc length `s` [m]; an open path continues straight beyond its ends."""
     last = len(path.x) - 1
     turned = 0.0
     if path.closed:
         lap = math.floor(s / (last * path.spacing))
         s -= lap * last * path.spacing
         turned = lap * (path.heading[last] - path.heading[0])
-    place = s / path.spacing
-    i = min(max(int(place), 0), last - 1)
-    t = min(max(place - i, 0.0), 1.0)
+    at = s / path.spacing
+    i = min(max(int(at), 0), last - 1)
+    t = min(max(at - i, 0.0), 1.0)
     heading = path.heading[i] + t * (path.heading[i + 1] - path.heading[i])
     beyond = s - min(max(s, 0.0), last * path.spacing)
     curvature = path.curvature[i] + t * (path.curvature[i + 1] - path.curvature[i])
@@ -77,12 +73,12 @@ def point_at(path: Path, s: float) -> PathPoint:
 
 @compiled
 def project(path: Path, x: float, y: float, start: int, stop: int) -> float:
-    """Find the arc length of the point nearest to (x, y) among samples `start` .. `stop` - 1.
+    """Return the arc length of the point nearest to (x, y) among samples `start` .. `stop` - 1.
 
-    On a closed path samples are counted on over the laps, backwards too.
+    On a closed path the count of samples continues over the laps, in both directions.
 
     Returns:
-        Arc length [m]; beyond an end of an open path it goes on along the end's tangent.
+        Arc length [m]; beyond an end of an open path measured along the end's tangent.
     """
     last = len(path.x) - 1
     nearest, best = start, math.inf
@@ -104,13 +100,13 @@ def project(path: Path, x: float, y: float, start: int, stop: int) -> float:
 
 @compiled
 def cross_track_error(point: PathPoint, x: float, y: float) -> float:
-    """Give the signed distance of (x, y) from a path point's tangent, positive to its left [m]."""
+    """Return the signed distance of (x, y) from a path point's tangent, positive: left [m]."""
     return (y - point.y) * math.cos(point.heading) - (x - point.x) * math.sin(point.heading)
 
 
 @compiled
 def curvature_between(path: Path, a: float, b: float) -> float:
-    """Give the mean curvature from arc length a to b >= a [1/m]."""
+    """Return the mean curvature from arc length a to b >= a [1/m]."""
     if b - a < path.spacing:
         return point_at(path, (a + b) / 2).curvature
     return (point_at(path, b).heading - point_at(path, a).heading) / (b - a)
@@ -118,14 +114,14 @@ def curvature_between(path: Path, a: float, b: float) -> float:
 
 @compiled
 def errors_at(path: Path, s: float, x: float, y: float, yaw: float) -> tuple[float, float]:
-    """Give the cross-track error [m] and the heading error [rad] of a pose at arc length s [m]."""
+    """Return cross-track error [m] and heading error [rad] of a pose at arc length s [m]."""
     point = point_at(path, s)
     return cross_track_error(point, x, y), wrap_angle(yaw - point.heading)
 
 
 @compiled
 def distance_ahead(path: Path, i: int, x: float, y: float, yaw: float) -> float:
-    """Give the distance of sample i [m], infinite where the path leads away from `yaw`."""
+    """Return the distance of sample i [m], infinite where the path leads away from `yaw`."""
     if math.cos(path.heading[i] - yaw) < 0:
         return math.inf
     return math.hypot(path.x[i] - x, path.y[i] - y)
@@ -133,7 +129,7 @@ def distance_ahead(path: Path, i: int, x: float, y: float, yaw: float) -> float:
 
 @compiled
 def smallest_distance(path: Path, x: float, y: float, yaw: float) -> float:
-    """Give the least `distance_ahead` of all samples [m]."""
+    """Return the least `distance_ahead` of all samples [m]."""
     smallest = math.inf
     for i in range(len(path.x)):
         smallest = min(smallest, distance_ahead(path, i, x, y, yaw))
@@ -142,14 +138,14 @@ def smallest_distance(path: Path, x: float, y: float, yaw: float) -> float:
 
 @compiled
 def first_catch(path: Path, x: float, y: float, yaw: float) -> int:
-    """Search the whole path for a car: the nearest sample of the first part that is near.
+    """Return the nearest sample of the first part of the path that is near the car.
 
     Args:
         path: The path.
         x: Position [m].
         y: Position [m].
-        yaw: Heading; parts that lead the other way do not count unless all do; nan if unknown
-            [rad].
+        yaw: Heading [rad]; parts in the opposite direction are ignored unless all are; nan: not
+            available.
     """
     smallest = smallest_distance(path, x, y, yaw)
     if smallest == math.inf:
@@ -168,7 +164,7 @@ def first_catch(path: Path, x: float, y: float, yaw: float) -> int:
 
 @compiled
 def project_near(path: Path, index: int, x: float, y: float) -> float:
-    """Find the arc length of the point nearest to (x, y) in the window about a sample [m]."""
+    """Return the arc length of the point nearest to (x, y) in the window about a sample [m]."""
     start = index - math.ceil(BEHIND / path.spacing)
     stop = index + math.ceil(AHEAD / path.spacing) + 1
     if not path.closed:
@@ -178,26 +174,26 @@ def project_near(path: Path, index: int, x: float, y: float) -> float:
 
 @compiled
 def advance(path: Path, index: int, x: float, y: float, yaw: float) -> tuple[float, int]:
-    """Follow a car along a path: where that crosses itself, progress decides.
+    """Project a car onto a path; where the path crosses itself, progress decides.
 
-    The whole path is searched once; after that each step looks at a window of constant size.
+    The whole path is searched once; later calls search a window of constant size.
 
     Args:
         path: The path.
-        index: Where the car was: what the last call gave, or NOT_CAUGHT.
+        index: Index that the last call returned, or NOT_CAUGHT.
         x: Position [m].
         y: Position [m].
-        yaw: Heading: the car is first caught by a part of the path that leads its way; nan if
-            unknown [rad].
+        yaw: Heading [rad]; the first projection is onto a part in the car's direction; nan: not
+            available.
 
     Returns:
-        Arc length [m], and the index of the nearest sample, counted on over the laps.
+        Arc length [m], and the index of the nearest sample, whose count continues over the laps.
     """
     if index == NOT_CAUGHT:
         index = first_catch(path, x, y, yaw)
     s = project_near(path, index, x, y)
     point = point_at(path, s)
-    if math.hypot(point.x - x, point.y - y) > LOST:
+    if math.hypot(point.x - x, point.y - y) > MAX_PROJECTION_DISTANCE:
         index = first_catch(path, x, y, yaw)
         s = project_near(path, index, x, y)
     index = round(s / path.spacing)
@@ -207,19 +203,19 @@ def advance(path: Path, index: int, x: float, y: float, yaw: float) -> tuple[flo
 
 
 class Progress:
-    """Remembers how far along a path the car is."""
+    """Progress of a car along a path."""
 
     def __init__(self, path: Path) -> None:
-        """Start on `path`, at the place where the car is seen first."""
+        """Start on `path` at the first projection."""
         self.path = path
         self.index = NOT_CAUGHT
 
     def advance(self, x: float, y: float, yaw: float = math.nan) -> float:
-        """Give the arc length of a car at (x, y) [m]; see `advance`."""
+        """Return the arc length of a car at (x, y) [m]; see `advance`."""
         s, self.index = advance(self.path, self.index, x, y, yaw)
         return s
 
     def errors(self, state: VehicleState) -> tuple[float, float]:
-        """Give the cross-track error [m] and the heading error [rad] of a state, and move on."""
+        """Return cross-track error [m] and heading error [rad] of a state; store the progress."""
         s = self.advance(state.x, state.y, state.yaw)
         return errors_at(self.path, s, state.x, state.y, state.yaw)

@@ -1,4 +1,4 @@
-"""A user's path from a CSV file."""
+"""Drives from a user's path in a CSV file, and the choice between file and scenario."""
 
 import csv
 import math
@@ -9,39 +9,40 @@ import numpy as np
 
 from ampc_msgs_config.config import read_text
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.path import Array, Path
-from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path_fitting import cached_path
 from ampc_msgs_config.scenarios.scenario import (
     Scenario,
     SpeedProfile,
-    checked_profile,
+    check_profile,
     load_scenario,
 )
+from ampc_msgs_config.types import Array
 
 MAX_BYTES, MAX_POINTS = 50_000_000, 500_000
-"""Of a CSV file."""
+"""Greatest size [bytes] and number of points of a CSV file."""
 
 
 class Route(NamedTuple):
-    """What a user chooses to drive; -1 stands for "as given"."""
+    """Selection of a drive; -1: value of the scenario or file."""
 
     scenario: str = "sc1"
     """Shipped scenario, or YAML file."""
     path: str = ""
     """CSV file instead of a scenario, or empty."""
     speed: float = -1.0
-    """Constant speed instead of the given one [m/s]."""
+    """Constant speed instead of the profile [m/s]."""
     lateral_acceleration: float = -1.0
-    """Largest along the CSV file's path; speeds are cut to it [m/s^2]."""
+    """Largest lateral acceleration along the CSV file's path, which limits the speed [m/s^2]."""
     laps: int = 1
-    """Of a CSV file's path that is closed."""
+    """Laps on a closed path of a CSV file."""
 
 
 def choose_scenario(route: Route, size: SizeParameters) -> Scenario:
-    """Give the drive that a user chose, with a car of this size.
+    """Load the selected drive for a car of this size.
 
     Raises:
-        ValueError: Names the file, the key or line, and the value.
+        ValueError: File, key or line, and value.
     """
     speed = None if route.speed < 0 else route.speed
     if not route.path:
@@ -51,14 +52,14 @@ def choose_scenario(route: Route, size: SizeParameters) -> Scenario:
 
 
 class SpeedLimits(NamedTuple):
-    """What a speed profile along a path keeps to."""
+    """Limits of a speed profile along a path."""
 
     lateral_acceleration: float = math.inf
     """v^2 times curvature [m/s^2]."""
     longitudinal_acceleration: float = 2.0
-    """Of driving off and of braking [m/s^2]."""
+    """Acceleration and deceleration [m/s^2]."""
     speed: float = 30.0
-    """[m/s]."""
+    """Speed [m/s]."""
 
 
 def from_csv(
@@ -67,25 +68,25 @@ def from_csv(
     limits: SpeedLimits | None = None,
     laps: int = 1,
 ) -> Scenario:
-    """Make a scenario of a path file: `x_m,y_m[,v_mps]` or `t_s,x_m,y_m`; header names decide.
+    """Build a scenario from a path file: `x_m,y_m[,v_mps]` or `t_s,x_m,y_m`, by its header.
 
     Args:
-        file: CSV with a header; `x_east_m,y_north_m` serve as well, other columns are ignored.
+        file: CSV with a header; `x_east_m,y_north_m` are accepted, too; other columns are ignored.
         speed: Constant speed instead of the file's [m/s].
-        limits: That the speed has to keep; they also serve where the file tells no speed.
-        laps: How often a closed path is driven.
+        limits: Limits of the speed; they define the speed where the file has none.
+        laps: Number of laps on a closed path.
 
     Raises:
-        ValueError: Names file, line and value; or no speed is known.
+        ValueError: File, line and value; or the file has no speed and none is selected.
     """
     columns = _columns(file)
     points = np.column_stack((columns["x"], columns["y"]))
     try:
-        path = make_path(points)
+        path = cached_path(points)
         values = _speed_along(path, points, columns, speed, limits)
         at = np.asarray(path.spacing * np.arange(len(values)))
         period = path.length if path.closed else math.inf
-        profile = checked_profile(SpeedProfile(True, at, values, period))
+        profile = check_profile(SpeedProfile(True, at, values, period))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     lap_time = float(np.sum(path.spacing / np.maximum(_middle(values), 0.5)))
@@ -104,7 +105,7 @@ def _speed_along(
     speed: float | None,
     limits: SpeedLimits | None,
 ) -> Array:
-    """Speed at each sample of a path: the given or the file's one, within the limits [m/s]."""
+    """Return the speed at each sample of a path, within the limits [m/s]."""
     count = len(path.x)
     values: Array
     if speed is not None:
@@ -114,34 +115,34 @@ def _speed_along(
     elif limits is not None:
         values = np.full(count, limits.speed)
     else:
-        raise ValueError("has neither v_mps nor t_s; give a speed or a lateral acceleration")
+        raise ValueError("has neither v_mps nor t_s: select a speed or a lateral acceleration")
     return values if limits is None else limited(values, path, limits)
 
 
 def _file_speed(path: Path, points: Array, columns: dict[str, Array]) -> Array:
     distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    kept = np.concatenate(([True], np.diff(distance) > 0))
+    moving = np.concatenate(([True], np.diff(distance) > 0))
     if "v" in columns:
-        values = columns["v"][kept]
+        values = columns["v"][moving]
     else:
-        values = np.gradient(distance[kept], _increasing(columns["t"][kept]))
+        values = np.gradient(distance[moving], _increasing(columns["t"][moving]))
     share = np.linspace(0.0, distance[-1], len(path.x))
-    return np.asarray(np.interp(share, distance[kept], values))
+    return np.asarray(np.interp(share, distance[moving], values))
 
 
 def _increasing(time: Array) -> Array:
-    late = np.diff(time) > 0
-    if not late.all():
-        i = int(np.argmin(late))
+    increases = np.diff(time) > 0
+    if not increases.all():
+        i = int(np.argmin(increases))
         raise ValueError(f"t_s = {time[i + 1]:g} must be greater than {time[i]:g} before it")
     return time
 
 
 def limited(values: Array, path: Path, limits: SpeedLimits) -> Array:
-    """Lower speeds along a path until they keep to the limits (n,) [m/s].
+    """Return speeds along a path, lowered to the limits (n,) [m/s].
 
-    Speeds are cut where the path bends, then forwards for driving off and backwards for braking;
-    on a closed path twice, so that its end fits its beginning.
+    The speed is limited by the curvature, then forwards by the acceleration and backwards by the
+    deceleration; on a closed path twice, so that its end matches its start.
     """
     bend = np.maximum(np.abs(path.curvature), 1e-9)
     cut = np.minimum.reduce([values, np.sqrt(limits.lateral_acceleration / bend)])
@@ -168,10 +169,10 @@ def _columns(file: File) -> dict[str, Array]:
     if len(rows) - 1 > MAX_POINTS:
         raise ValueError(f"{file}: {len(rows) - 1} points are more than {MAX_POINTS}")
     names = [name.strip(" #") for name in rows[0]] if rows else []
-    found = {HEADERS[name]: i for i, name in enumerate(names) if name in HEADERS}
-    if not {"x", "y"} <= set(found):
+    present = {HEADERS[name]: i for i, name in enumerate(names) if name in HEADERS}
+    if not {"x", "y"} <= set(present):
         raise ValueError(f"{file}: header {names} must name x_m and y_m")
-    return {key: _column(file, rows, i) for key, i in found.items()}
+    return {key: _column(file, rows, i) for key, i in present.items()}
 
 
 def _column(file: File, rows: list[list[str]], i: int) -> Array:

@@ -1,40 +1,42 @@
-"""From points to a path: a smooth spline through them, sampled at equal arc length."""
+"""Fit a smooth spline to points, and sample it at equal arc length."""
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline, make_lsq_spline
 
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.types import Array
 
 SPACING = 0.25
-"""Distance of the samples that a path is stored in; more on paths beyond 250 km [m]."""
+"""Distance of the samples of a path; greater on paths beyond 250 km [m]."""
 MAX_SAMPLES = 1_000_000
 MIN_GAP = 1e-3
 """Points closer than this to their predecessor are dropped as duplicates [m]."""
 ROUNDING = 1e-6
-"""By which lengths may differ where a path is moved or turned without becoming another [m]."""
+"""Rounding of lengths that may not change the result when a path is moved or turned [m]."""
 KNOT_GAP = 1.0
-"""Smoothing: the spline has a knot every metre at most, so finer wiggles are averaged [m]."""
+"""Smoothing: least distance of the knots of the spline, so that finer wiggles are averaged [m]."""
 MAX_LENGTH = 2.0e6
-"""Longest path; one stray point in another frame would fill the memory with samples [m]."""
+"""Longest path; an outlier in another frame would fill the memory with samples [m]."""
 CLOSING_GAP = 1.5
-"""A path is closed where its ends are at most this many (median) spacings apart."""
+"""Greatest distance of the ends of a closed path [median spacings]."""
 OVERLAP = 12
-"""Points of the other end that a closed path is continued with, so that it closes smoothly."""
+"""Points of the other end that continue a closed path before the fit, so that it is smooth."""
 
 
 def make_path(points: ArrayLike) -> Path:
-    """Draw a smooth curve through points and sample it at equal arc length.
+    """Fit a smooth curve to points, and sample it at equal arc length.
 
-    A cubic spline by least squares with knots at the points, but none closer than 1 m: points
-    a metre or more apart are met exactly, finer ones are averaged, corners become bends. A path
-    whose ends meet in the same direction is closed: it goes on for any number of laps.
+    The curve is a cubic least-squares spline with knots at the points, none closer than 1 m. Points
+    1 m or more apart are interpolated exactly, finer ones are averaged, corners become bends. A
+    path whose ends meet in the same direction is closed and continues for any number of laps.
 
     Args:
-        points: (n, 2) positions in driving order [m]; spacing may vary, duplicates are dropped.
+        points: (n, 2) positions in driving order [m]; duplicates are dropped.
 
     Returns:
         The path. Two points give a straight line.
@@ -43,7 +45,7 @@ def make_path(points: ArrayLike) -> Path:
         ValueError: Not (n, 2), not finite, too long, or fewer than two different points.
     """
     corners = _different_points(np.asarray(points, dtype=float))
-    origin = corners[0].copy()  # far from the origin of the map a spline would lose digits
+    origin = corners[0].copy()  # a spline far from the origin of the map would lose digits
     corners = corners - origin
     closed = _is_closed(corners)
     if closed:
@@ -55,8 +57,18 @@ def make_path(points: ArrayLike) -> Path:
     return _sampled(_spline(chord, corners), ends, origin, closed)
 
 
+def cached_path(points: Array) -> Path:
+    """Return `make_path` of points (n, 2) [m]; equal points are fitted once."""
+    return _path_of(np.ascontiguousarray(points, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=8)
+def _path_of(points: bytes) -> Path:
+    return make_path(np.frombuffer(points).reshape(-1, 2))
+
+
 def _is_closed(corners: Array) -> bool:
-    """Whether the last point leads on to the first one."""
+    """Return whether the last point leads to the first one."""
     steps = np.diff(corners, axis=0)
     spacing = np.median(np.hypot(*steps.T))
     gap = corners[0] - corners[-1]
@@ -66,16 +78,18 @@ def _is_closed(corners: Array) -> bool:
 
 
 def _overlapped(corners: Array) -> Array:
-    """Continue a closed path by points of its other end: from its first point to that again."""
+    """Return a closed path from its first point to that point again, continued at both ends."""
     if np.hypot(*(corners[-1] - corners[0])) <= MIN_GAP:
         corners = corners[:-1]
     return np.concatenate((corners[-OVERLAP:], corners, corners[: OVERLAP + 1]))
 
 
 def _spline(chord: Array, corners: Array) -> Any:
-    """Cubic spline over the chord length: interpolating, or least squares where points are fine."""
+    """Return a cubic spline over the chord length; least squares where points are fine."""
     knots = [0]
-    gap = KNOT_GAP - ROUNDING  # else equal spacings that divide 1 m give other knots elsewhere
+    gap = (
+        KNOT_GAP - ROUNDING
+    )  # without it, moving a path with spacings that divide 1 m would move knots
     while (following := int(np.searchsorted(chord, chord[knots[-1]] + gap))) < len(chord):
         knots.append(following)
     if len(knots) < 6:
@@ -112,10 +126,10 @@ def _different_points(points: Array) -> Array:
         row = int(np.argwhere(~np.isfinite(points).all(axis=1))[0, 0])
         raise ValueError(f"path: point {row} = {points[row].tolist()} must be finite")
     gap = np.hypot(*np.diff(points, axis=0).T)
-    kept = points[np.concatenate(([True], gap > MIN_GAP))[: len(points)]]
-    if len(kept) < 2:
-        raise ValueError(f"path: {len(kept)} different points, at least 2 are needed")
-    return np.asarray(kept)
+    different = points[np.concatenate(([True], gap > MIN_GAP))[: len(points)]]
+    if len(different) < 2:
+        raise ValueError(f"path: {len(different)} different points, at least 2 are needed")
+    return np.asarray(different)
 
 
 def _arc_length(spline: Any, parameter: Array) -> Array:

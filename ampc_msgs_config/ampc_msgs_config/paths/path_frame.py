@@ -1,4 +1,4 @@
-"""The path as the paper sees it: a set-point Y_ref(X) in an inertial frame of small angles."""
+"""Set-point Y_ref(X) of the paper in an inertial frame of small angles."""
 
 import math
 from typing import Any, NamedTuple
@@ -6,52 +6,53 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.interpolation import interpolate
-from ampc_msgs_config.paths.path import Array, Path
-from ampc_msgs_config.types import wrap_angle
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.types import Array
 
 
 class PathFrame(NamedTuple):
-    """The paper's inertial frame, origin in the path's first point and X along its chord."""
+    """Inertial frame of the paper: origin in the path's first point, X along its chord."""
 
     x: float
     """Origin in `map` [m]."""
     y: float
     """Origin in `map` [m]."""
     heading: float
-    """Of the X axis in `map` [rad]."""
+    """Direction of the X axis in `map` [rad]."""
     X: Array
-    """(n,) path in this frame, increasing [m]."""
+    """(n,) X of the path in this frame, increasing [m]."""
     Y: Array
-    """(n,) path in this frame [m]."""
+    """(n,) Y of the path in this frame [m]."""
 
 
 @compiled
 def rotate(x: Any, y: Any, angle: float) -> tuple[Any, Any]:
-    """Turn a vector, or arrays of them, counter-clockwise by `angle` [rad]."""
+    """Return a vector, or arrays of vectors, turned counter-clockwise by `angle` [rad]."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
 
 
 @compiled
 def place(frame: PathFrame, x: float, y: float, yaw: float) -> tuple[float, float, float]:
-    """Give X [m], Y [m] and yaw [rad] of a pose in this frame."""
+    """Return X [m], Y [m] and yaw [rad] of a pose in this frame."""
     X, Y = rotate(x - frame.x, y - frame.y, -frame.heading)
     return X, Y, wrap_angle(yaw - frame.heading)
 
 
 @compiled
 def set_point(frame: PathFrame, X: float) -> float:
-    """Give Y_ref at X, r(k) of Eq. (11) [m]; the path's ends are held."""
+    """Return Y_ref at X, r(k) of Eq. (11) [m]; constant beyond the path's ends."""
     return interpolate(X, frame.X, frame.Y)
 
 
 def path_frame(path: Path) -> PathFrame:
-    """Turn the inertial frame so that the small angles of the paper hold along the path.
+    """Return the inertial frame in which the small angles of the paper hold along the path.
 
     Raises:
         ValueError: The path turns by 90 degrees or more against its chord, so that Y is no
-            function of X there.
+            function of X.
     """
     x, y = float(path.x[0]), float(path.y[0])
     chord = math.atan2(path.y[-1] - y, path.x[-1] - x)

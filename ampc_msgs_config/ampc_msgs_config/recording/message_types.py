@@ -8,25 +8,25 @@ from typing import Any, NamedTuple
 
 from rosbags.typesys import Stores, get_typestore
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import topics
 
 TYPES = {
-    ros.CLOCK: "rosgraph_msgs/msg/Clock",
-    ros.ODOM: "nav_msgs/msg/Odometry",
-    ros.REFERENCE_PATH: "nav_msgs/msg/Path",
-    ros.TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
-    ros.STEERING_COMMAND: "sensor_msgs/msg/JointState",
-    ros.STEERING_STATE: "sensor_msgs/msg/JointState",
-    ros.PREDICTED_PATH: "nav_msgs/msg/Path",
-    ros.WIND: "geometry_msgs/msg/Vector3Stamped",
-    ros.STOP_REQUEST: "std_msgs/msg/Bool",
-    ros.TICK: "sensor_msgs/msg/JointState",
-    ros.MARKERS: "visualization_msgs/msg/MarkerArray",
-    ros.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
-    ros.PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",
-    ros.ROSOUT: "rcl_interfaces/msg/Log",
-    **dict.fromkeys(ros.CONFIGURATIONS, "std_msgs/msg/String"),
-    **dict.fromkeys(ros.QUANTITIES, "std_msgs/msg/Float64"),
+    topics.CLOCK: "rosgraph_msgs/msg/Clock",
+    topics.ODOM: "nav_msgs/msg/Odometry",
+    topics.REFERENCE_PATH: "nav_msgs/msg/Path",
+    topics.TARGET_SPEED: "geometry_msgs/msg/TwistStamped",
+    topics.STEERING_COMMAND: "sensor_msgs/msg/JointState",
+    topics.STEERING_STATE: "sensor_msgs/msg/JointState",
+    topics.PREDICTED_PATH: "nav_msgs/msg/Path",
+    topics.WIND: "geometry_msgs/msg/Vector3Stamped",
+    topics.STOP_REQUEST: "std_msgs/msg/Bool",
+    topics.TICK: "sensor_msgs/msg/JointState",
+    topics.MARKERS: "visualization_msgs/msg/MarkerArray",
+    topics.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+    topics.PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",
+    topics.ROSOUT: "rcl_interfaces/msg/Log",
+    **dict.fromkeys(topics.CONFIGURATIONS, "std_msgs/msg/String"),
+    **dict.fromkeys(topics.QUANTITIES, "std_msgs/msg/Float64"),
 }
 """Message type of each topic of the contract."""
 JAZZY = get_typestore(Stores.ROS2_JAZZY)

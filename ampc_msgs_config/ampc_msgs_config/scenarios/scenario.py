@@ -1,42 +1,55 @@
-"""What a drive asks for: path, speed profile, wind, start and duration."""
+"""Scenarios: path, speed profile, wind, start and duration of a drive."""
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.interpolation import interpolate, section
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.curves import Lane, bounded, check_known, make_curve, q, read_same_as
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path, advance
-from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.wind import Wind, read_wind, wind_of_steps
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.paths.curves import (
+    AnyPath,
+    Lane,
+    StretchedPath,
+    Track,
+    build_curve,
+    q,
+    stretched,
+)
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, advance
+from ampc_msgs_config.paths.path_fitting import cached_path
+from ampc_msgs_config.scenarios.wind import Wind, wind_of_steps
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.validation import Checked, check_range, described, number
 
 SPEED_PREVIEW = 0.5
-"""How far ahead the target speed is read from the profile [s]: the time constant of the driver."""
+"""Time by which the target speed is read ahead from the profile: the driver's time constant [s]."""
 MIN_PREVIEW = 0.5
-"""The same as a distance, at least: a car that stands where the profile says 0 has to start [m]."""
+"""Least distance of that preview, so that a car starts where the profile begins with 0 m/s [m]."""
 POINT_SPACING = 0.5
-"""Distance of the points of analytic paths along X [m]."""
+"""Spacing of the points of analytic paths along X [m]."""
 RUN_OUT = 60.0
-"""How far analytic paths go on beyond the end of the drive [m]."""
+"""Distance by which analytic paths continue beyond the end of the drive [m]."""
+SPEED = number(0.0, 100.0, "m/s", "Target speed.")
+DURATION = number(0.1, 1.0e5, "s", "Duration of the drive.")
+START_OFFSET = number(-100.0, 100.0, "m", "Start to the left of the path's first point.")
 
 
 class SpeedProfile(NamedTuple):
     """Speed over time (joined with q) or over arc length (joined by straight lines)."""
 
     over_distance: bool
-    """Whether `at` is arc lengths, not times."""
+    """Whether `at` holds arc lengths instead of times."""
     at: Array
     """(n,) times [s] or arc lengths [m], increasing."""
     speed: Array
     """(n,) [m/s]."""
     period: float = math.inf
-    """Length of a lap, from 0 to which `at` goes and after which the profile begins anew [m]."""
+    """Length of a lap, after which the profile over arc length repeats [m]."""
 
 
 class Scenario(NamedTuple):
@@ -47,24 +60,60 @@ class Scenario(NamedTuple):
     """(n, 2) points of the path in `map` [m]."""
     speed: SpeedProfile
     duration: float
-    """[s]."""
+    """Duration of the drive [s]."""
     wind: tuple[Wind, ...] = ()
     lanes: tuple[Lane, ...] = ()
     start_offset: float = 0.0
     """Start to the left of the path's first point [m]."""
 
     @property
+    def path(self) -> Path:
+        """Reference path, fitted once for equal points."""
+        return cached_path(self.points)
+
+    @property
     def start(self) -> tuple[float, float, float]:
         """Pose of the centre of gravity at the start: x [m], y [m], yaw [rad]."""
-        path = make_path(self.points)
+        path = self.path
         x, y, yaw = path.x[0], path.y[0], float(path.heading[0])
         x, y = x - self.start_offset * math.sin(yaw), y + self.start_offset * math.cos(yaw)
         return float(x), float(y), yaw
 
 
+class SameAs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Reference to the same key of another scenario."""
+
+    same_as: Annotated[str, described("Shipped scenario, or YAML file, to take the key from.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioFile(Checked):
+    """Content of a scenario file."""
+
+    path: AnyPath
+    speed: (
+        Annotated[
+            tuple[
+                tuple[
+                    Annotated[float, number(-math.inf, math.inf, "s", "Time.")],
+                    Annotated[float, SPEED],
+                ],
+                ...,
+            ],
+            described(
+                "Times [s], increasing, each with a speed [m/s], joined with q.", most=10_000
+            ),
+        ]
+        | SameAs
+    )
+    duration: Annotated[float, DURATION]
+    wind: tuple[Wind, ...] | SameAs = ()
+    start_offset: Annotated[float, START_OFFSET] = 0.0
+
+
 @compiled
 def speed_at(profile: SpeedProfile, place: float) -> float:
-    """Read a speed profile at a time [s] or an arc length [m]; its ends are held."""
+    """Return the speed at a time [s] or an arc length [m]; constant beyond the ends [m/s]."""
     at, speed = profile.at, profile.speed
     if profile.period < math.inf:
         place %= profile.period
@@ -79,12 +128,12 @@ def speed_at(profile: SpeedProfile, place: float) -> float:
 def target_speed(
     profile: SpeedProfile, path: Path, index: int, elapsed: float, x: float, y: float, yaw: float
 ) -> tuple[float, int]:
-    """Give the speed that the driver has to reach one preview time later.
+    """Return the speed that the driver has to reach one preview time later.
 
     Args:
-        profile: Of the drive.
-        path: Of the drive.
-        index: Where the car was on it, as `advance` counts; NOT_CAUGHT at the start.
+        profile: Speed profile of the drive.
+        path: Path of the drive.
+        index: Position of the car on it, as `advance` counts; NOT_CAUGHT at the start.
         elapsed: Time since the start [s].
         x: Position [m].
         y: Position [m].
@@ -101,16 +150,16 @@ def target_speed(
 
 
 class SpeedPlanner:
-    """Remembers when a drive began and where the car is; the start is the first state it sees."""
+    """Target speed of one drive, which starts with the first state."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """Plan for one drive of a scenario."""
-        self.profile, self.path = scenario.speed, make_path(scenario.points)
+        """Prepare one drive of a scenario."""
+        self.profile, self.path = scenario.speed, scenario.path
         self.index = NOT_CAUGHT
         self.start_ns: int | None = None
 
     def target_speed(self, state: VehicleState) -> float:
-        """Give the speed that the driver has to reach one preview time later [m/s]."""
+        """Return the speed that the driver has to reach one preview time later [m/s]."""
         if self.start_ns is None:
             self.start_ns = state.stamp_ns
         elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
@@ -121,15 +170,15 @@ class SpeedPlanner:
 
 
 def wind_of_drive(scenario: Scenario, step_ns: int, period_ns: int) -> Array:
-    """Give the wind velocity of a whole drive, one row for each step of the integration.
+    """Return the wind velocity of a whole drive, one row for each step of the integration.
 
     Args:
         scenario: The drive.
-        step_ns: Of the integration [ns].
-        period_ns: Of the controller [ns].
+        step_ns: Step of the integration [ns].
+        period_ns: Period of the controller [ns].
 
     Returns:
-        (n, 2) [m/s], n for whole periods; the rows of each are its `wind_of_steps`, bit for bit.
+        (n, 2) [m/s] for whole periods, whose rows equal `wind_of_steps` bit for bit.
     """
     steps = round(period_ns / step_ns)
     periods = -(-round(scenario.duration * NANOSECONDS) // (steps * step_ns))
@@ -141,62 +190,73 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
 
     Args:
         name: Shipped name, or file.
-        size: Of the car, from which the lanes of ISO tracks follow.
+        size: Outline of the car, from which the lanes of ISO tracks follow.
         speed: Constant speed instead of the scenario's [m/s].
 
     Raises:
-        ValueError: Names the file, the key, the value and the bound.
+        ValueError: File, key, value and bound.
     """
     file = config.find("scenarios", name)
     content = config.read(file)
     if speed is not None:
         content["speed"] = [[0.0, speed]]
+    drive = config.build(ScenarioFile, content, str(file))
     try:
-        return _scenario(file.stem, content, size)
-    except KeyError as error:
-        raise ValueError(f"{file}: missing key {error}") from error
-    except (TypeError, ValueError) as error:
+        profile = _profile(drive.speed)
+        curve, lanes = _track(drive.path, size)
+        wind = (
+            _same_as(drive.wind.same_as, "wind") if isinstance(drive.wind, SameAs) else drive.wind
+        )
+    except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
-
-
-def _scenario(name: str, content: Mapping[str, Any], size: SizeParameters) -> Scenario:
-    check_known(content, {"path", "speed", "wind", "start_offset", "duration"}, "scenario")
-    speed = _speed(content["speed"])
-    duration = bounded(content, "duration", 0.1, 1.0e5)
-    time = np.arange(0.0, duration, 0.1).tolist()
-    reach = sum(speed_at(speed, t) for t in time) * 0.1 + RUN_OUT
-    curve, lanes = make_curve(content["path"], size)
+    time = np.arange(0.0, drive.duration, 0.1).tolist()
+    reach = sum(speed_at(profile, t) for t in time) * 0.1 + RUN_OUT
     return Scenario(
-        name=name,
+        name=file.stem,
         points=curve(np.arange(0.0, reach, POINT_SPACING, dtype=np.float64)),
-        speed=speed,
-        duration=duration,
-        wind=read_wind(content.get("wind", [])),
+        speed=profile,
+        duration=drive.duration,
+        wind=wind,
         lanes=lanes,
-        start_offset=bounded(content, "start_offset", -100.0, 100.0, 0.0),
+        start_offset=drive.start_offset,
     )
 
 
-def _speed(content: Any) -> SpeedProfile:
-    if isinstance(content, Mapping):
-        return _speed(read_same_as(content["same_as"], "speed"))
-    try:
-        table = np.array(content, dtype=float)
-    except (TypeError, ValueError):
-        table = np.array([])
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
-        raise ValueError(f"speed = {content!r} must be a list of [time, speed]")
-    at, speed = np.ascontiguousarray(table.T)
-    return checked_profile(SpeedProfile(False, at, speed))
+def _same_as(name: str, key: str) -> Any:
+    """Return the value of a key in another scenario file, which must be that file's own."""
+    file = config.find("scenarios", name)
+    content = config.read(file)
+    if key not in content:
+        raise ValueError(f"{file}: missing key {key!r}")
+    value = getattr(config.build(ScenarioFile, content, str(file)), key)
+    if isinstance(value, SameAs | StretchedPath):
+        raise ValueError(f"{file}: {key} refers to another scenario: name that one")
+    return value
 
 
-def checked_profile(profile: SpeedProfile) -> SpeedProfile:
-    """Give the profile back, or say which value is out of order or out of [0, 100] m/s."""
+def _track(shape: AnyPath, size: SizeParameters) -> Track:
+    if isinstance(shape, StretchedPath):
+        return stretched(build_curve(_same_as(shape.scenario, "path"), size), shape.stretch)
+    return build_curve(shape, size)
+
+
+def _profile(speed: tuple[tuple[float, float], ...] | SameAs) -> SpeedProfile:
+    rows = _same_as(speed.same_as, "speed") if isinstance(speed, SameAs) else speed
+    at, values = np.ascontiguousarray(np.array(rows, dtype=float).T)
+    return check_profile(SpeedProfile(False, at, values))
+
+
+def check_profile(profile: SpeedProfile) -> SpeedProfile:
+    """Return a profile unchanged, if its places increase and its speeds are in range.
+
+    Raises:
+        ValueError: Index, value and bound.
+    """
     if (np.diff(profile.at) <= 0).any():
-        row = int(np.argmax(np.diff(profile.at) <= 0))
-        at = f"{'distance' if profile.over_distance else 'time'} {profile.at[row + 1]:g}"
-        raise ValueError(f"speed: {at} in row {row + 2} must be greater than {profile.at[row]:g}")
-    for value in profile.speed:
-        if not 0 <= value <= 100:
-            raise ValueError(f"speed = {value:g} must lie in [0, 100] m/s")
+        i = int(np.argmax(np.diff(profile.at) <= 0)) + 1
+        at, before = profile.at[i], profile.at[i - 1]
+        what = "distance" if profile.over_distance else "time"
+        raise ValueError(f"speed[{i}]: {what} {at:g} must be greater than {before:g} before it")
+    for i, value in enumerate(profile.speed.tolist()):
+        check_range(f"speed[{i}]", value, SPEED)
     return profile

@@ -1,75 +1,103 @@
-"""A drive as values: whatever it was made of, this text is enough to drive it again.
+"""Scenarios as YAML text in a recording, complete enough to repeat the drive bit for bit.
 
-Long rows of numbers stand as text, `x: '0.0 0.5 1.0'`: read in no time, and bit for bit.
+Long rows of numbers are stored as text, `x: '0.0 0.5 1.0'`, which is fast to read and exact.
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 import numpy as np
-import yaml
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.config import parsed
-from ampc_msgs_config.paths.curves import Lane, bounded, check_known
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, checked_profile
-from ampc_msgs_config.scenarios.wind import read_wind
+from ampc_msgs_config.config import build, dump, parse
+from ampc_msgs_config.paths.curves import Lane
+from ampc_msgs_config.scenarios.scenario import START_OFFSET, Scenario, SpeedProfile, check_profile
+from ampc_msgs_config.scenarios.wind import Wind
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked, dotted, number
 
-LONGEST = 1_000_000
-"""Of a row."""
+LONGEST_ROW = 1_000_000
+"""Greatest number of values in a row of numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointRows(Checked):
+    """Points of a path as rows of numbers [m]."""
+
+    x: str
+    y: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileRows(Checked):
+    """Speed profile as rows of numbers, see `SpeedProfile`."""
+
+    over_distance: bool
+    at: str
+    speed: str
+    period: Annotated[float, number(1.0e-3, math.inf, "m")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedScenario(Checked):
+    """Scenario as `scenario_content` writes it."""
+
+    name: str
+    points: PointRows
+    speed: ProfileRows
+    duration: Annotated[float, number(0.1, 1.0e6, "s")]
+    wind: tuple[Wind, ...]
+    lanes: tuple[Lane, ...]
+    start_offset: Annotated[float, START_OFFSET]
 
 
 def document(content: Mapping[str, Any], number: int = 1) -> str:
-    """Write what a node tells of its configuration.
+    """Write the configuration that a node publishes.
 
     Args:
-        content: What the run is made of.
-        number: Counts the configurations of a run.
+        content: Configuration as YAML values.
+        number: Count of the configurations of a run.
     """
-    told = {"version": __version__, "number": number, **content}
-    return str(yaml.safe_dump(told, sort_keys=False, width=math.inf))
+    return dump({"version": __version__, "number": number, **content}, width=math.inf)
 
 
-def read_document(text: str, where: str, keys: Iterable[str]) -> dict[str, Any]:
-    """Read what `document` wrote.
+def read_document(text: str, where: str) -> tuple[dict[str, Any], int]:
+    """Read what `document` wrote: the content without its header, and the number.
 
     Args:
         text: YAML.
-        where: It comes from, for the message.
-        keys: That it must have besides `version` and `number`, and no others.
+        where: Source of the text, for the message.
 
     Raises:
-        ValueError: Names place and key.
+        ValueError: Source, key and value.
     """
-    content, known = parsed(text, where), ("version", "number", *keys)
-    check_known(content, known, where)
-    require(content, known, where)
-    return content
-
-
-def require(content: Mapping[str, Any], keys: Iterable[str], where: str) -> None:
-    """Raise a ValueError where a key is missing."""
-    for key in keys:
+    content = parse(text, where)
+    for key, kind in (("version", str), ("number", int)):
         if key not in content:
             raise ValueError(f"{where}: missing key {key!r}")
+        if type(content[key]) is not kind:
+            what = "text" if kind is str else "a whole number"
+            raise ValueError(f"{where}: {key} = {content[key]!r} must be {what}")
+    del content["version"]
+    return content, content.pop("number")
 
 
-def mapping_of(scenario: Scenario) -> dict[str, Any]:
-    """Give a scenario as YAML can hold it."""
+def scenario_content(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as YAML values."""
     (over_distance, at, speed, period), (x, y) = scenario.speed, scenario.points.T
     return {
         "name": scenario.name,
-        "points": {"x": text_of(x), "y": text_of(y)},
+        "points": {"x": row_text(x), "y": row_text(y)},
         "speed": {
             "over_distance": bool(over_distance),
-            "at": text_of(at),
-            "speed": text_of(speed),
+            "at": row_text(at),
+            "speed": row_text(speed),
             "period": float(period),
         },
         "duration": float(scenario.duration),
-        "wind": [piece._asdict() for piece in scenario.wind],
+        "wind": [asdict(piece) for piece in scenario.wind],
         "lanes": [
             {key: float(at) for key, at in lane._asdict().items()} for lane in scenario.lanes
         ],
@@ -77,51 +105,56 @@ def mapping_of(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def scenario_of(content: Any, where: str) -> Scenario:
-    """Give the scenario of a mapping, bit for bit.
+def read_scenario(content: Any, where: str, key: str = "") -> Scenario:
+    """Return the scenario of YAML values, bit for bit.
 
     Args:
-        content: What `mapping_of` gave.
-        where: It comes from, for the message.
+        content: Values that `scenario_content` wrote.
+        where: Source of the content, for the message.
+        key: Dotted key of the content in its source, for the message.
 
     Raises:
-        ValueError: Names place, key, value and bound.
+        ValueError: Source, key, value and bound.
     """
-    check_known(content, Scenario._fields, where)
-    require(content, Scenario._fields, where)
+    rows = build(RecordedScenario, content, where, key)
     try:
-        return Scenario(
-            name=str(content["name"]),
-            points=_points(content["points"]),
-            speed=_profile(content["speed"]),
-            duration=bounded(content, "duration", 0.1, 1.0e6),
-            wind=read_wind(content["wind"]),
-            lanes=tuple(_lane(each) for each in _list(content["lanes"], "lanes")),
-            start_offset=bounded(content, "start_offset", -100.0, 100.0),
+        x, y = read_row(rows.points.x, "points.x"), read_row(rows.points.y, "points.y")
+        at, speed = read_row(rows.speed.at, "speed.at"), read_row(rows.speed.speed, "speed.speed")
+        for name, row, other in (("points.x", x, y), ("speed.at", at, speed)):
+            if len(row) != len(other):
+                raise ValueError(f"{name} has {len(row)} numbers, its other row {len(other)}")
+        if len(x) < 2:
+            raise ValueError(f"points.x has {len(x)} numbers, must have at least 2")
+        profile = check_profile(
+            SpeedProfile(rows.speed.over_distance, at, speed, rows.speed.period)
         )
-    except KeyError as error:
-        raise ValueError(f"{where}: missing key {error}") from error
     except ValueError as error:
-        raise ValueError(f"{where}: {error}") from error
+        raise ValueError(f"{where}: {dotted(key, str(error))}") from error
+    return Scenario(
+        name=rows.name,
+        points=np.column_stack((x, y)),
+        speed=profile,
+        duration=rows.duration,
+        wind=rows.wind,
+        lanes=rows.lanes,
+        start_offset=rows.start_offset,
+    )
 
 
-def text_of(row: Array) -> str:
-    """Write numbers, each so that it is read back to the bit."""
+def row_text(row: Array) -> str:
+    """Write numbers so that each is read back to the bit."""
     return " ".join(map(repr, row.tolist()))
 
 
-def row_of(content: Mapping[str, Any], key: str) -> Array:
+def read_row(text: str, key: str) -> Array:
     """Read a row of finite numbers.
 
     Raises:
-        ValueError: Names key, value and bound.
+        ValueError: Key, value and bound.
     """
-    text = content[key]
-    if not isinstance(text, str):
-        raise ValueError(f"{key} = {text!r} must be numbers in one text")
     words = text.split()
-    if not 1 <= len(words) <= LONGEST:
-        raise ValueError(f"{key} has {len(words)} numbers, must have 1 to {LONGEST}")
+    if not 1 <= len(words) <= LONGEST_ROW:
+        raise ValueError(f"{key} has {len(words)} numbers, must have 1 to {LONGEST_ROW}")
     try:
         row = np.array([float(word) for word in words])
     except ValueError as error:
@@ -130,36 +163,3 @@ def row_of(content: Mapping[str, Any], key: str) -> Array:
         i = int(np.argmin(np.isfinite(row)))
         raise ValueError(f"{key}[{i}] = {row[i]} must be finite")
     return row
-
-
-def _points(content: Any) -> Array:
-    check_known(content, ("x", "y"), "points")
-    x, y = row_of(content, "x"), row_of(content, "y")
-    if len(x) != len(y):
-        raise ValueError(f"points: x has {len(x)} numbers and y {len(y)}, must be as many")
-    if len(x) < 2:
-        raise ValueError(f"points: {len(x)} given, must be at least 2")
-    return np.column_stack((x, y))
-
-
-def _profile(content: Any) -> SpeedProfile:
-    check_known(content, SpeedProfile._fields, "speed")
-    over_distance = content["over_distance"]
-    if not isinstance(over_distance, bool):
-        raise ValueError(f"speed: over_distance = {over_distance!r} must be true or false")
-    at, speed = row_of(content, "at"), row_of(content, "speed")
-    if len(at) != len(speed):
-        raise ValueError(f"speed: at has {len(at)} numbers and speed {len(speed)}")
-    period = bounded(content, "period", 1.0e-3, math.inf)
-    return checked_profile(SpeedProfile(over_distance, at, speed, period))
-
-
-def _lane(content: Any) -> Lane:
-    check_known(content, Lane._fields, "lanes")
-    return Lane(*(bounded(content, key, -1.0e6, 1.0e6) for key in Lane._fields))
-
-
-def _list(content: Any, key: str) -> list[Any]:
-    if not isinstance(content, list):
-        raise ValueError(f"{key} = {content!r} must be a list")
-    return content

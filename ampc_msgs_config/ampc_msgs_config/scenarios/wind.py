@@ -1,31 +1,37 @@
 """Side wind of a drive."""
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from ampc_msgs_config.paths.curves import bounded, check_known, q, read_same_as
-from ampc_msgs_config.paths.path import Array
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.paths.curves import q
+from ampc_msgs_config.types import NANOSECONDS, Array
+from ampc_msgs_config.validation import Checked, choice, number
 
 BLOCK_EDGE = 0.5
 """Rise and fall of a block of wind [s]."""
 
 
-class Wind(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Wind(Checked):
     """One piece of wind along y of `map`."""
 
-    kind: str
-    """`gust`: 1-cos, or `block`."""
-    start: float
-    end: float
-    speed: float
+    kind: Annotated[str, choice(("gust", "block"), "Shape over time: gust is 1-cos.")]
+    start: Annotated[float, number(0.0, 1.0e5, "s", "Time at which it begins.")]
+    end: Annotated[float, number(0.0, 1.0e5, "s", "Time at which it ends, at least 1 s later.")]
+    speed: Annotated[float, number(-80.0, 80.0, "m/s", "Largest velocity, positive along y.")]
+
+    def __post_init__(self) -> None:
+        """Check the fields and their order in time."""
+        super().__post_init__()
+        if self.end < self.start + 2 * BLOCK_EDGE:
+            raise ValueError(f"end = {self.end:g} must be at least {self.start + 2 * BLOCK_EDGE:g}")
 
 
 def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
-    """Give the wind velocity in `map`, (n, 2) [m/s], at times (n,) [s]."""
+    """Return the wind velocity in `map`, (n, 2) [m/s], at times (n,) [s]."""
     velocity = np.zeros((len(time), 2))
     for piece in wind:
         if piece.kind == "gust":
@@ -38,30 +44,12 @@ def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
 
 
 def wind_of_steps(wind: tuple[Wind, ...], begin_ns: int, step_ns: int, steps: int) -> Array:
-    """Give the wind velocity in `map` at steps of the integration, (steps, 2) [m/s].
+    """Return the wind velocity in `map` at steps of the integration, (steps, 2) [m/s].
 
     Args:
-        wind: Of the drive.
+        wind: Wind of the drive.
         begin_ns: Time of the first step [ns].
-        step_ns: Of the integration [ns].
-        steps: How many.
+        step_ns: Step of the integration [ns].
+        steps: Number of steps.
     """
     return wind_at(wind, (begin_ns + step_ns * np.arange(steps)) / NANOSECONDS)
-
-
-def read_wind(content: Any) -> tuple[Wind, ...]:
-    """Read the wind of a scenario file; a ValueError names the key, the value and the bound."""
-    if isinstance(content, Mapping):
-        return read_wind(read_same_as(content["same_as"], "wind"))
-    if not isinstance(content, list):
-        raise ValueError(f"wind = {content!r} must be a list")
-    return tuple(_wind_piece(item) for item in content)
-
-
-def _wind_piece(item: Mapping[str, Any]) -> Wind:
-    check_known(item, {"kind", "start", "end", "speed"}, "wind")
-    if item["kind"] not in ("gust", "block"):
-        raise ValueError(f"wind: kind = {item['kind']!r} must be gust or block")
-    start = bounded(item, "start", 0.0, 1.0e5)
-    end = bounded(item, "end", start + 2 * BLOCK_EDGE, 1.0e5)
-    return Wind(item["kind"], start, end, bounded(item, "speed", -80.0, 80.0))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import (
     INFEASIBLE,
     SOLVED,
@@ -27,8 +28,6 @@ from ampc_ros.mpc.small_matrices import (
     project_out,
     vector,
 )
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-11
 """Violation of a row that counts as none, as a share of the size of the numbers in it."""

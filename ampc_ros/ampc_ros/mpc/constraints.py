@@ -2,13 +2,9 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import Qp
-
-Array = NDArray[np.float64]
 
 FIRST_OUTPUT_STEP = 5
 """The output cannot answer earlier: rows before this step would only fight the past [ticks]."""

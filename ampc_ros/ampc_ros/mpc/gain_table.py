@@ -2,23 +2,23 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import astuple, dataclass, field
+from itertools import pairwise
 from pathlib import Path as File
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config import config
 from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.interpolation import section
-from ampc_msgs_config.parameters import check_range
-
-Array = NDArray[np.float64]
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked, described, hints, number
 
 NONE = -1
-"""No node is in use yet."""
+"""Index before any node is in use."""
 HYSTERESIS = 0.1
-"""Share of the distance between two nodes by which another must be nearer to take over."""
+"""Share of the distance between two nodes by which another must be nearer to replace one."""
 
 
 class Gains(NamedTuple):
@@ -38,21 +38,77 @@ class Gains(NamedTuple):
     """R."""
 
 
-KEYS = ("speed", "lateral_reference", "gains", "provenance")
-"""Of a table's file."""
+@dataclass(frozen=True, kw_only=True)
+class GainSet(Checked):
+    """Gains of one node in a file; the horizons and the number of terms are whole numbers."""
+
+    prediction_horizon: Annotated[
+        float, number(1, 200, "ticks", "Prediction horizon, N_p.", whole=True)
+    ]
+    control_horizon: Annotated[
+        float, number(1, 200, "ticks", "Control horizon, N_c, at most N_p.", whole=True)
+    ]
+    laguerre_terms: Annotated[
+        float, number(1, 20, "", "Laguerre functions, N, at most N_p.", whole=True)
+    ]
+    laguerre_pole: Annotated[float, number(0.0, 0.999, "", "Laguerre pole, alpha.")]
+    output_weight: Annotated[float, number(1.0e-9, 1.0e9, "", "Output weight, Q.")]
+    increment_weight: Annotated[float, number(1.0e-9, 1.0e9, "", "Increment weight, R.")]
+
+    def __post_init__(self) -> None:
+        """Check the gains, and the horizons against each other."""
+        super().__post_init__()
+        for key in ("control_horizon", "laguerre_terms"):
+            if getattr(self, key) > self.prediction_horizon:
+                raise ValueError(
+                    f"{key} = {getattr(self, key):g} must not exceed prediction_horizon = "
+                    f"{self.prediction_horizon:g}"
+                )
+
+    @property
+    def gains(self) -> Gains:
+        """Gains for the controller."""
+        rows = zip(Gains._fields, astuple(self), strict=True)
+        return Gains._make(int(value) if key in INTEGERS else value for key, value in rows)
+
+
 INTEGERS = ("prediction_horizon", "control_horizon", "laguerre_terms")
-BOUNDS: dict[str, dict[str, Any]] = {
-    "prediction_horizon": {"low": 1, "high": 200, "unit": "ticks"},
-    "control_horizon": {"low": 1, "high": 200, "unit": "ticks"},
-    "laguerre_terms": {"low": 1, "high": 20, "unit": ""},
-    "laguerre_pole": {"low": 0.0, "high": 0.999, "unit": ""},
-    "output_weight": {"low": 1.0e-9, "high": 1.0e9, "unit": ""},
-    "increment_weight": {"low": 1.0e-9, "high": 1.0e9, "unit": ""},
-}
+"""Gains that are whole numbers."""
+BOUNDS = {key: get_args(kind)[1] for key, kind in hints(GainSet).items()}
+"""Declared range of each gain."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainTableFile(Checked):
+    """Content of a gain table file: axes, and a gain set for each node, the references fastest."""
+
+    speed: Annotated[
+        tuple[Annotated[float, number(-1.0e4, 1.0e4, "m/s", "Speed of a node.")], ...],
+        described("Speeds of the nodes, increasing.", most=1000),
+    ]
+    lateral_reference: Annotated[
+        tuple[Annotated[float, number(-1.0e4, 1.0e4, "m", "Lateral reference.")], ...],
+        described("Lateral references of the nodes, increasing.", most=1000),
+    ] = (0.0,)
+    gains: tuple[GainSet, ...]
+    provenance: Annotated[dict[str, Any], described("Origin of the gains, not evaluated.")] = field(
+        default_factory=dict
+    )
+
+    def __post_init__(self) -> None:
+        """Check the fields, the order of the axes and the number of gain sets."""
+        super().__post_init__()
+        for key in ("speed", "lateral_reference"):
+            for i, (low, high) in enumerate(pairwise(getattr(self, key)), start=1):
+                if high <= low:
+                    raise ValueError(f"{key}[{i}] = {high} must be greater than {low} before it")
+        nodes = len(self.speed) * len(self.lateral_reference)
+        if len(self.gains) != nodes:
+            raise ValueError(f"gains has {len(self.gains)} entries, must have {nodes} for the axes")
 
 
 class Table(NamedTuple):
-    """A gain table as compiled code takes it."""
+    """Gain table for compiled code."""
 
     speeds: Array
     """(n,) increasing [m/s]."""
@@ -63,29 +119,29 @@ class Table(NamedTuple):
 
 
 class Lookup(NamedTuple):
-    """Gains, and whether the table had to be left."""
+    """Gains, and whether the operating point lies outside the table."""
 
     gains: Gains
     outside: bool
-    """The speed or reference lies outside the grid; the nearest edge was used."""
+    """Whether speed or reference lies outside the grid, where the nearest edge is used."""
 
 
 @in_place
 def look_up(table: Table, in_use: Array, speed: float, reference: float) -> tuple[Gains, bool]:
-    """Give the gains at a speed and a lateral reference.
+    """Return the gains at a speed and a lateral reference.
 
-    Integers come from the nearest node, with hysteresis; weights are interpolated in the
-    logarithm, the pole linearly. Outside the grid the edge counts; an axis of one place is
-    none, its gains hold everywhere.
+    Integers come from the nearest node, with hysteresis. Weights are interpolated in the logarithm,
+    the pole linearly. Outside the grid the edge is used. The gains of an axis with one node hold
+    everywhere.
 
     Args:
         table: The grid.
-        in_use: (2,) places of the node in use on the two axes, NONE at first; changed in place.
-        speed: [m/s].
-        reference: [m].
+        in_use: (2,) indices of the node in use on the two axes, NONE at first; changed in place.
+        speed: Speed [m/s].
+        reference: Lateral reference [m].
 
     Returns:
-        The gains, and whether an axis was left.
+        The gains, and whether the operating point lies outside an axis.
     """
     speeds, references, nodes = table
     outside = left(speeds, speed) or left(references, reference)
@@ -111,13 +167,13 @@ def look_up(table: Table, in_use: Array, speed: float, reference: float) -> tupl
 
 @in_place
 def left(axis: Array, place: float) -> bool:
-    """Whether a place lies beyond the ends of an axis of more than one place."""
+    """Return whether a place lies beyond the ends of an axis with more than one node."""
     return len(axis) > 1 and not axis[0] <= place <= axis[len(axis) - 1]
 
 
 @in_place
 def nearest_node(axis: Array, place: float, current: int) -> int:
-    """Index of the nearest node; `current` is kept unless another is clearly nearer."""
+    """Return the index of the nearest node, or `current` unless another is clearly nearer."""
     best = 0
     for i in range(1, len(axis)):
         if abs(axis[i] - place) < abs(axis[best] - place):
@@ -130,7 +186,7 @@ def nearest_node(axis: Array, place: float, current: int) -> int:
 
 @in_place
 def bracket(axis: Array, place: float) -> tuple[int, float]:
-    """Place on an axis: the node at or below it, and the share of the way to the next one."""
+    """Return the node at or below a place on an axis, and its distance as a share to the next."""
     last = len(axis) - 1
     if last == 0 or not place > axis[0]:
         return 0, 0.0
@@ -141,17 +197,17 @@ def bracket(axis: Array, place: float) -> tuple[int, float]:
 
 
 class GainTable:
-    """Grid of gains; remembers the node in use, so that integers do not chatter between two."""
+    """Grid of gains, with the node in use as state, so that integers do not chatter."""
 
     def __init__(self, speeds: list[float], references: list[float], nodes: list[Gains]) -> None:
-        """Lay `nodes` out over speeds [m/s] x lateral references [m], the references fastest."""
+        """Arrange `nodes` over speeds [m/s] x lateral references [m], the references fastest."""
         axes = np.array(speeds, dtype=float), np.array(references, dtype=float)
         self.table = Table(*axes, np.array(nodes, dtype=float))
         self.nodes = nodes
         self.reset()
 
     def lookup(self, speed: float, reference: float = 0.0) -> Lookup:
-        """Give the gains at a speed [m/s] and a lateral reference [m]; see `look_up`."""
+        """Return the gains at a speed [m/s] and a lateral reference [m]; see `look_up`."""
         return Lookup(*look_up(self.table, self.in_use, speed, reference))
 
     def reset(self) -> None:
@@ -163,69 +219,34 @@ def load_gain_table(name: str) -> GainTable:
     """Load a table by shipped name or YAML file.
 
     Raises:
-        ValueError: Names the file, the key, the value and the bound.
+        ValueError: File, key, value and bound.
     """
-    return gain_table(read_gain_table(config.find("gains", name)))
+    file = config.find("gains", name)
+    return gain_table(config.read(file), str(file))
 
 
 def read_gain_table(file: File) -> dict[str, Any]:
-    """Read the file of a table, and check that it is one.
+    """Read the content of a table's file, and check it.
 
     Raises:
-        ValueError: Names the file, the key, the value and the bound.
+        ValueError: File, key, value and bound.
     """
     content = config.read(file)
-    try:
-        gain_table(content)
-    except KeyError as error:
-        raise ValueError(f"{file}: missing key {error}") from error
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
+    gain_table(content, str(file))
     return content
 
 
-def gain_table(content: Mapping[str, Any]) -> GainTable:
-    """Make a table of a mapping with `speed`, optional `lateral_reference`, and `gains`.
+def gain_table(content: Mapping[str, Any], where: str = "gain table", key: str = "") -> GainTable:
+    """Build a table from the content of a file.
 
-    It may have a `provenance`, too: a mapping of whatever whoever made the table wants to tell.
+    Args:
+        content: Mapping of the fields of `GainTableFile`.
+        where: Source of the content, for the message.
+        key: Dotted key of the content in its source, for the message.
+
+    Raises:
+        ValueError: Source, key, value and bound.
     """
-    for key in content:
-        if key not in KEYS:
-            raise ValueError(f"unknown key {key!r}; known are {', '.join(KEYS)}")
-    if not isinstance(content.get("provenance", {}), Mapping):
-        raise ValueError(f"provenance = {content['provenance']!r} must be a mapping of keys")
-    speeds = _axis("speed", content["speed"])
-    references = _axis("lateral_reference", content.get("lateral_reference", [0.0]))
-    rows, expected = content["gains"], len(speeds) * len(references)
-    if not isinstance(rows, list) or len(rows) != expected:
-        count = len(rows) if isinstance(rows, list) else repr(rows)
-        raise ValueError(f"gains: {count} entries, the axes ask for {expected}")
-    nodes = [_gains(f"gains[{i}]", row) for i, row in enumerate(rows)]
-    return GainTable(speeds, references, nodes)
-
-
-def _axis(key: str, values: Any) -> list[float]:
-    if not isinstance(values, list) or not values:
-        raise ValueError(f"{key} = {values!r} must be a list of numbers")
-    for i, value in enumerate(values):
-        check_range(f"{key}[{i}]", value, {"low": -1.0e4, "high": 1.0e4, "unit": ""})
-        if i and value <= values[i - 1]:
-            raise ValueError(f"{key}[{i}] = {value} must be greater than {values[i - 1]}")
-    return [float(value) for value in values]
-
-
-def _gains(where: str, row: Any) -> Gains:
-    if not isinstance(row, Mapping) or set(row) != set(BOUNDS):
-        raise ValueError(f"{where} = {row!r} must have exactly the keys {', '.join(BOUNDS)}")
-    for key, metadata in BOUNDS.items():
-        check_range(f"{where}.{key}", row[key], metadata)
-        if key in INTEGERS and row[key] != int(row[key]):
-            raise ValueError(f"{where}.{key} = {row[key]} must be an integer")
-    gains = Gains._make(int(row[k]) if k in INTEGERS else float(row[k]) for k in Gains._fields)
-    for key in ("control_horizon", "laguerre_terms"):
-        if row[key] > gains.prediction_horizon:
-            raise ValueError(
-                f"{where}.{key} = {row[key]} must not exceed prediction_horizon = "
-                f"{gains.prediction_horizon}"
-            )
-    return gains
+    table = config.build(GainTableFile, content, where, key)
+    nodes = [node.gains for node in table.gains]
+    return GainTable(list(table.speed), list(table.lateral_reference), nodes)

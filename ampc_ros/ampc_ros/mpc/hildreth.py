@@ -1,13 +1,9 @@
 """Hildreth's quadratic programming procedure, the paper's solver: Eqs. (25)-(30)."""
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import SOLVED, UNFINISHED, NearestPoint, Qp, nearest_point, unit_row
 from ampc_ros.mpc.small_matrices import Scratch, backward, dot, matrix, vector
-
-Array = NDArray[np.float64]
 
 KUHN_TUCKER = 1e-10
 """How far Eq. (30) may be missed, as a share of the size of the numbers in the problem."""

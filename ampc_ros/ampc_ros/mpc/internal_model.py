@@ -4,16 +4,16 @@ from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
+from ampc_msgs_config.parameters import (
+    GRAVITY,
+    ChassisParameters,
+    ControllerSettings,
+    SteeringParameters,
+)
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.model import Vehicle
-
-Array = NDArray[np.float64]
-
-GRAVITY = 9.81
-"""[m/s^2]"""
 
 
 class Limits(NamedTuple):

@@ -2,12 +2,8 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
-
-Array = NDArray[np.float64]
+from ampc_msgs_config.types import Array
 
 
 @in_place

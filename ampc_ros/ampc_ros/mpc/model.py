@@ -4,13 +4,10 @@ State [v_y, yaw, yaw rate, Y, delta]: the paper's four, and the road-wheel angle
 lags; without a lag it is not used.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.small_matrices import Scratch, matrix
 
-Array = NDArray[np.float64]
 Vehicle = tuple[float, float, float, float, float, float]
 """`astuple(ChassisParameters)`: m, I_z, l_f, l_r, C_f, C_r."""
 

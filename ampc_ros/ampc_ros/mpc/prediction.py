@@ -1,13 +1,9 @@
 """From the model to the quadratic cost: Eqs. (10)-(11)."""
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import Scratch, dot, vector
-
-Array = NDArray[np.float64]
 
 
 @in_place

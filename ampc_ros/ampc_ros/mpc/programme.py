@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.active_set import active_set, solver_numbers
 from ampc_ros.mpc.constraints import input_rows, output_rows, output_steps, row_count, running_sum
 from ampc_ros.mpc.gain_table import Gains
@@ -16,8 +16,6 @@ from ampc_ros.mpc.model import STATES, Vehicle, augment, zero_order_hold
 from ampc_ros.mpc.prediction import predict, quadratic_cost
 from ampc_ros.mpc.qp import Qp
 from ampc_ros.mpc.small_matrices import Scratch, dot, make_scratch, matrix, vector
-
-Array = NDArray[np.float64]
 
 MAX_CONDITION = 1e12
 """Condition number of E above which a gain set is refused: the solver would lose its digits."""

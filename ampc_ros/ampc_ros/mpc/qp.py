@@ -3,13 +3,9 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.small_matrices import Scratch, cholesky, dot, forward, matrix, vector
-
-Array = NDArray[np.float64]
 
 SOLVED, INFEASIBLE, UNFINISHED, NOT_CONVEX = 0, 1, 2, 3
 

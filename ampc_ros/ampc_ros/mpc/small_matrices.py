@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
-
-Array = NDArray[np.float64]
+from ampc_msgs_config.types import Array
 
 
 class Scratch(NamedTuple):

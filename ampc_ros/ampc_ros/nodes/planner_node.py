@@ -12,9 +12,10 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.base_node import BaseNode, declare_scenario, spin
+from ampc_msgs_config.nodes.base_node import BaseNode, spin
+from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
-from ampc_msgs_config.scenarios.scenario_yaml import document, mapping_of
+from ampc_msgs_config.scenarios.scenario_yaml import document, scenario_content
 from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
 from ampc_ros.nodes.braking import Braking
 
@@ -44,7 +45,7 @@ class PlannerNode(BaseNode):
             self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop_request, ros.LATCHED)
             self.create_timer(BLIND_PERIOD, self.on_blind)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
-        told = document({"scenario": mapping_of(self.scenario)})
+        told = document({"scenario": scenario_content(self.scenario)})
         self.configurations.publish(String(data=told))
         self.create_timer(1.0, self.on_diagnostics)
         if self.now_ns > 0:

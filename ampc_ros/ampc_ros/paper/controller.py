@@ -1,19 +1,16 @@
 """The paper's controller: adaptive MPC with Laguerre increments towards a held set-point."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
-from ampc_msgs_config.types import Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import Array, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.paper.tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
-
-Array = NDArray[np.float64]
 
 
 class LateralMpc:

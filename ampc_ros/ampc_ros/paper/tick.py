@@ -3,20 +3,18 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, advance, errors_at
 from ampc_msgs_config.paths.path_frame import PathFrame, place, set_point
-from ampc_msgs_config.types import TRACKING, Diagnosis, VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import TRACKING, Array, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import NONE, Gains, Table, look_up
 from ampc_ros.mpc.internal_model import believed
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.programme import Move, Tick, plan
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
-
-Array = NDArray[np.float64]
 
 STEERING, KNOWN, LAST, INDEX, IN_USE, MEMORY = 0, 1, 2, 6, 7, 9
 """What the controller remembers, in a row of MEMORY numbers: angle in force, whether there was a

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
+from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import scratch_numbers

@@ -7,10 +7,9 @@ known disturbance: e_psi' = r - v kappa, e_y' = v_y + v e_psi.
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ampc_msgs_config import parameters
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import (
     MIN_SPEED,
@@ -23,8 +22,6 @@ from ampc_ros.mpc.model import (
     zero_order_hold,
 )
 from ampc_ros.mpc.small_matrices import Scratch, matrix, vector
-
-Array = NDArray[np.float64]
 
 E_PSI, E_Y = 1, 3
 """Places of heading and cross-track error: those of yaw and Y in `model`."""
@@ -120,11 +117,8 @@ def side_acceleration(
     return float((G[1, 1, 1] * change[V_Y] - G[1, 0, 1] * change[YAW_RATE]) / determinant)
 
 
-@in_place
-def understeer_gradient(vehicle: Vehicle) -> float:
-    """K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) [rad s^2/m]."""
-    m, _, l_f, l_r, C_f, C_r = vehicle
-    return m / (l_f + l_r) * (l_r / (2 * C_f) - l_f / (2 * C_r))
+understeer_gradient = in_place(parameters.understeer_gradient)
+"""`parameters.understeer_gradient`, compiled."""
 
 
 @in_place

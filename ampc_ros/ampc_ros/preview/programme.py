@@ -3,10 +3,8 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.constraints import output_rows, output_steps, running_sum
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import InternalModel
@@ -24,8 +22,6 @@ from ampc_ros.preview.model import (
     road_steering,
     sample,
 )
-
-Array = NDArray[np.float64]
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon for which the model is not rebuilt."""

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.paths.path import (
     NOT_CAUGHT,
-    Array,
     Path,
     advance,
     curvature_between,
@@ -21,9 +21,9 @@ from ampc_msgs_config.types import (
     STANDSTILL,
     TRACKING,
     WRONG_WAY,
+    Array,
     Diagnosis,
     VehicleState,
-    at_distance,
 )
 from ampc_ros.mpc.gain_table import NONE, Gains, Table, look_up
 from ampc_ros.mpc.internal_model import InternalModel, believed

@@ -7,7 +7,7 @@ with a velocity clamp of 20 % of the range, as `PsoSettings` has it.
 
 import numpy as np
 
-from ampc_ros.pso.settings import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.swarm import Swarm, Task, Weights
 
 EXPLORATION, EXPLOITATION, CONVERGENCE, JUMPING_OUT = range(4)

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ampc_msgs_config.types import Array
 from ampc_ros.pso.adaptive_pso import CONVERGENCE, FIRST, adapted, learned
-from ampc_ros.pso.settings import Array, Dimension, PsoSettings, Space, space
+from ampc_ros.pso.settings import Dimension, PsoSettings, Space, space
 from ampc_ros.pso.swarm import Swarm, Task
 from ampc_ros.pso.weights import scheduled
 

@@ -3,18 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ampc_msgs_config.parameters import Checked, check_range, choice, number
+from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import Checked, check_range, choice, number
 
-Array = npt.NDArray[np.float64]
 VARIANTS = ("proposed", "linear", "damped", "classic", "authors_code", "adaptive")
-COUNTS = ("particles", "generations", "schedule_length")
-"""Settings that are whole numbers."""
-GREATEST_BOUND = {"low": -1.0e100, "high": 1.0e100, "unit": ""}
+GREATEST_BOUND = number(-1.0e100, 1.0e100)
 
 
 class Dimension(NamedTuple):
@@ -41,36 +39,47 @@ class Space(NamedTuple):
 class PsoSettings(Checked):
     """Table 2 of the paper, and what the paper leaves open."""
 
-    variant: str = choice(*VARIANTS, default="proposed")
-    """`proposed`: Eqs. (33), (34). `linear`: Eq. (32). `damped`: omega(k+1) = omega(k) damping.
-    `classic`: omega = max_inertia. `authors_code`: as proposed, with the authors' slip in the
-    schedule of Eq. (34). `adaptive`: Zhan et al., 2009, see `adaptive_pso`."""
-    particles: int = number(2, 1_000_000, "", 20)
-    generations: int = number(0, 1_000_000, "", 15)
-    """Moves of the swarm after the first, random one: (generations + 1) x particles evaluations."""
-    schedule_length: int = number(0, 1_000_000, "", 0)
-    """G of Eqs. (32)-(34) where it is not the number of generations; 0: it is."""
-    max_inertia: float = number(0.0, 2.0, "", 0.99)
-    min_inertia: float = number(0.0, 2.0, "", 0.1)
-    inertia_damping: float = number(0.0, 1.0, "", 0.99)
-    inertia_decay: float = number(0.0, 1.0e6, "", 30.0)
-    """lambda_1 of Eq. (33)."""
-    inertia_divisor: float = number(1.0e-6, 1.0e6, "", 3.0)
-    """lambda_2 of Eq. (33)."""
-    initial_cognitive: float = number(-10.0, 10.0, "", 2.0)
-    initial_social: float = number(-10.0, 10.0, "", 2.0)
-    max_velocity: float = number(1.0e-9, math.inf, "ranges per generation", 0.2)
-    """Clamp of every velocity component, as a share of high - low; infinite: none."""
-    boundary: str = choice("clip", "absorb", "reflect", default="clip")
-    """A particle that leaves is put on the bound: `clip` keeps its velocity, `absorb` takes the
-    outward component away; `reflect` mirrors it back inside, and its velocity with it."""
+    variant: Annotated[
+        str,
+        choice(
+            VARIANTS,
+            "proposed: Eqs. (33), (34). linear: Eq. (32). damped: omega(k+1) = omega(k) damping. "
+            "classic: omega = max_inertia. authors_code: as proposed, with the authors' slip in "
+            "the schedule of Eq. (34). adaptive: Zhan et al., 2009, see `adaptive_pso`.",
+        ),
+    ] = "proposed"
+    particles: Annotated[int, number(2, 1_000_000, "", "Number of particles.")] = 20
+    generations: Annotated[
+        int, number(0, 1_000_000, "", "Moves of the swarm after the first, random one.")
+    ] = 15
+    schedule_length: Annotated[
+        int, number(0, 1_000_000, "", "G of Eqs. (32)-(34); 0: the number of generations.")
+    ] = 0
+    max_inertia: Annotated[float, number(0.0, 2.0, "", "Largest inertia.")] = 0.99
+    min_inertia: Annotated[float, number(0.0, 2.0, "", "Smallest inertia.")] = 0.1
+    inertia_damping: Annotated[float, number(0.0, 1.0, "", "Damping of variant damped.")] = 0.99
+    inertia_decay: Annotated[float, number(0.0, 1.0e6, "", "lambda_1 of Eq. (33).")] = 30.0
+    inertia_divisor: Annotated[float, number(1.0e-6, 1.0e6, "", "lambda_2 of Eq. (33).")] = 3.0
+    initial_cognitive: Annotated[float, number(-10.0, 10.0, "", "Initial cognitive weight.")] = 2.0
+    initial_social: Annotated[float, number(-10.0, 10.0, "", "Initial social weight.")] = 2.0
+    max_velocity: Annotated[
+        float,
+        number(
+            1.0e-9, math.inf, "ranges per generation", "Limit of each velocity; infinite: none."
+        ),
+    ] = 0.2
+    boundary: Annotated[
+        str,
+        choice(
+            ("clip", "absorb", "reflect"),
+            "A particle that leaves is put on the bound. clip keeps its velocity, absorb removes "
+            "the outward component, reflect mirrors position and velocity.",
+        ),
+    ] = "clip"
 
     def __post_init__(self) -> None:
-        """Check the fields, then what ties them together."""
+        """Check the fields, and the inertias against each other."""
         super().__post_init__()
-        for name in COUNTS:
-            if not isinstance(getattr(self, name), int):
-                raise ValueError(f"{name} = {getattr(self, name)!r} must be an integer")
         if self.min_inertia > self.max_inertia:
             raise ValueError(
                 f"min_inertia = {self.min_inertia!r} must be at most max_inertia = "

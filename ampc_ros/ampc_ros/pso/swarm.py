@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ampc_ros.pso.settings import Array, PsoSettings, Space
+from ampc_msgs_config.types import Array
+from ampc_ros.pso.settings import PsoSettings, Space
 
 
 class Weights(NamedTuple):

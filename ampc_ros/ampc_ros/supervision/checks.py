@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ampc_msgs_config.parameters import ChassisParameters
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.supervision.plausibility import (
     CAUSES,
     FUTURE,

@@ -4,7 +4,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, wrap_angle
+from ampc_msgs_config.frames import wrap_angle
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 FUTURE = 0.1
 """Farthest that a stamp may be ahead of the node's clock [s]."""

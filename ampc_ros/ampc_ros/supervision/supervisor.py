@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ampc_msgs_config.paths.path import Array, Path
-from ampc_msgs_config.types import LIMITS, STOP, Command, Supervision, VehicleState
+from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.types import LIMITS, STOP, Array, Command, Supervision, VehicleState
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller, build_controller
 from ampc_ros.preview.controller import PreviewMpc

@@ -21,7 +21,8 @@ from std_msgs.msg import String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.nodes.base_node import BaseNode, declare, declare_scenario, spin
+from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import STEP_NS
 from sim_vehicle.configuration import Configuration, to_yaml

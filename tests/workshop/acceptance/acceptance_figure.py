@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import ticks
-from ampc_msgs_config.types import at_distance
 from launch_scripts.reporting.style import BLUE, ORANGE, REFERENCE_STYLE
 from launch_scripts.run.simulated import SimulatedDrive
 from tests.workshop.acceptance.trials import Trial, run

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.scenarios.scenario import Scenario, speed_at
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance, wrap_angle
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 STEP = 0.001
 """Of the Runge-Kutta integration: the wheels are stiff [s]."""

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.internal_model import actuator_of
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch

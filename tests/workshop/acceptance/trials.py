@@ -10,13 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ampc_msgs_config.config import find, load
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.metrics import LOST, Drive, errors, ticks
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_file import SpeedLimits, from_csv
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
-from ampc_msgs_config.types import at_distance
+from ampc_msgs_config.types import Array
 from ampc_ros.configuration import default_table
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.paper.controller import LateralMpc
@@ -108,7 +107,7 @@ def run_all(trials: Sequence[Trial], name: str) -> list[SimulatedDrive]:
 
 def judged(finished: Drive, scenario: Scenario, vehicle: Vehicle) -> SimulatedDrive:
     """Give a drive with its errors."""
-    path = make_path(scenario.points)
+    path = scenario.path
     error = errors(finished, path, vehicle.chassis.cg_to_rear_axle)[:, 0]
     return SimulatedDrive(finished, path, scenario, vehicle, error)
 

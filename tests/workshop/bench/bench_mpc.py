@@ -12,7 +12,7 @@ import daqp
 import numpy as np
 from scipy.linalg import expm
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.model import lateral_dynamics
 from ampc_ros.mpc.programme import Tick
 from tests.workshop.bench.bench_ours import GAINS, VEHICLE, laguerre, limits

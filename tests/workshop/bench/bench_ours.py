@@ -12,9 +12,9 @@ from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import load_scenario
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.active_set import active_set, solve_in, solver_memory, solver_numbers

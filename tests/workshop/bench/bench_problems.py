@@ -9,12 +9,13 @@ import numpy as np
 from scipy.optimize import linprog
 
 from ampc_msgs_config.config import find
+from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.paths.path import Array, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
 from ampc_msgs_config.scenarios.scenario import load_scenario
-from ampc_msgs_config.types import at_distance, wrap_angle
+from ampc_msgs_config.types import Array
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.programme import Tick

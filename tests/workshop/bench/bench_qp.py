@@ -14,7 +14,7 @@ import daqp
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import Qp
 from tests.workshop.bench.bench_ours import qp_alone
 from tests.workshop.bench.bench_reference import one_sided

@@ -6,7 +6,7 @@ import daqp
 import numpy as np
 from scipy.optimize import nnls
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import Qp
 
 TIGHT = {"primal_tol": 1e-12, "dual_tol": 1e-13}

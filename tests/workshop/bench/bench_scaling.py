@@ -9,7 +9,7 @@ from time import monotonic
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from tests.workshop.bench.bench_ours import make_swarm
 from tests.workshop.bench.bench_report import Row, Section
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.programme import Tick
 from tests.workshop.bench.bench_mpc import LIMITS, N_C, N_P, Answer, Q, R, symbolic_model
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 from tests.workshop.bench.bench_ours import GAINS, qp_inside
 from tests.workshop.bench.bench_problems import KINDS, Problem, problems
 from tests.workshop.bench.bench_qp import SOLVERS, Solver, daqp_inside, installed, missing

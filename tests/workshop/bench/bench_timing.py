@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array
+from ampc_msgs_config.types import Array
 
 BLOCK = 20
 """Calls that a competitor makes in a row before it is the next one's turn."""

@@ -19,9 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from ampc_msgs_config.config import find
+from ampc_msgs_config.types import Array
 from launch_scripts.reporting.style import BLUE, ORANGE
 from launch_scripts.tuning.fitness import GENTLE, Node, fitness, prepared, repeat_for_gain_sets
-from launch_scripts.tuning.fleet import Array, Fleet
+from launch_scripts.tuning.fleet import Fleet
 from launch_scripts.tuning.fleet_rows import FleetRun, run
 from launch_scripts.tuning.workers import open_workers
 from sim_vehicle.parameters import load_vehicle

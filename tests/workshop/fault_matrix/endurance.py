@@ -21,11 +21,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ampc_msgs_config.metrics import LOST
-from ampc_msgs_config.parameters import check_range
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.validation import check_range, number
 from ampc_ros.supervision.guard import LONGEST_PAUSE, Guard, bounds
-from launch_scripts.faults.schedule import SEEDS, Fault
+from launch_scripts.faults.schedule import SEED, Fault
 from tests.workshop.acceptance.trials import DATA, LIMITS
 from tests.workshop.fault_matrix.fault_loop import FaultyDrive, Tick
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT
@@ -43,7 +43,7 @@ GROWTH = 5.0
 """By which it may grow [MB]."""
 TOLERANCE = 1.0e-9
 """Of a limit [rad]."""
-HOURS = {"low": 0.01, "high": 100.0, "unit": "h"}
+HOURS = number(0.01, 100.0, "h")
 
 
 class Minute(NamedTuple):
@@ -198,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen, console = parser.parse_args(arguments), Console(highlight=False, soft_wrap=True)
     try:
         check_range("--hours", chosen.hours, HOURS)
-        check_range("--seed", chosen.seed, SEEDS)
+        check_range("--seed", chosen.seed, SEED)
         duration = math.ceil(chosen.hours * 3600 / PIECE) * PIECE
         account = drive_for(duration, chosen.path, Conditions(seed=chosen.seed), console)
     except ValueError as error:

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.paths.path import Array, Progress
+from ampc_msgs_config.frames import as_received, at_distance
+from ampc_msgs_config.paths.path import Progress
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, as_received, at_distance
+from ampc_msgs_config.types import NANOSECONDS, QUATERNION_LENGTH, Array, VehicleState
 from ampc_ros.supervision.supervisor import Decision, Supervisor
 from ampc_ros.supervision.ticks import Ticks
 from launch_scripts.faults.messages import MAP, ODOM, PATH, STEERING, Message
@@ -28,8 +29,6 @@ BRAKING = 2.0
 """Deceleration of a driver who obeys: one that the tyres can spare in a bend [m/s^2]."""
 START_NS = 1000 * NANOSECONDS
 """What clocks show at the start [ns]."""
-UNIT = (0.9, 1.1)
-"""Length of a quaternion that was meant to be a rotation; `ros.UNIT`."""
 
 
 class Tick(NamedTuple):
@@ -210,4 +209,4 @@ def unreadable(message: Message) -> str:
     """Say why the node would not even unpack a message; empty: it would."""
     if message.frame_id != MAP:
         return "wrong_frame"
-    return "" if UNIT[0] <= message.length <= UNIT[1] else "no_rotation"
+    return "" if QUATERNION_LENGTH[0] <= message.length <= QUATERNION_LENGTH[1] else "no_rotation"

@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.validation import check_range
 from ampc_ros.configuration import CONTROLLERS
 from launch_scripts.compare import make_folder, naming
-from launch_scripts.faults.schedule import SEEDS
+from launch_scripts.faults.schedule import SEED
 from tests.workshop.acceptance.trials import DATA
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT, SCENARIOS, Case, load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course
@@ -94,7 +94,7 @@ def run(chosen: argparse.Namespace, command: str, console: Console) -> Report:
     Raises:
         ValueError: In one sentence what is wrong.
     """
-    check_range("--seed", chosen.seed, SEEDS)
+    check_range("--seed", chosen.seed, SEED)
     conditions = Conditions(*(getattr(chosen, field) for field in Conditions._fields))
     bench, cases = Bench(conditions), cases_of(chosen.faults)
     scenarios = []

@@ -1,5 +1,6 @@
 """What is injected, where, and what no controller could survive: data."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -118,7 +119,7 @@ def mirrored(scenario: Scenario) -> Scenario:
     """Give the same drive with left and right exchanged."""
     return scenario._replace(
         points=scenario.points * np.array([1.0, -1.0]),
-        wind=tuple(wind._replace(speed=-wind.speed) for wind in scenario.wind),
+        wind=tuple(replace(wind, speed=-wind.speed) for wind in scenario.wind),
         lanes=(),
         start_offset=-scenario.start_offset,
     )

@@ -1,0 +1,33 @@
+"""Parameters with which planner and simulator select a drive."""
+
+from rclpy.node import Node
+
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.nodes.base_node import declare
+from ampc_msgs_config.parameters import SizeParameters
+from ampc_msgs_config.paths.path_file import Route, choose_scenario
+from ampc_msgs_config.scenarios.scenario import Scenario
+
+
+def declare_scenario(node: Node) -> Scenario:
+    """Declare the parameters that select a drive, and load it.
+
+    Raises:
+        ValueError: File, key or line, value and bound.
+    """
+    vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
+    default = Route()
+    route = Route(
+        declare(node, "scenario", default.scenario, "shipped scenario, or YAML file"),
+        declare(node, "path", default.path, "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead"),
+        declare(node, "speed", default.speed, "constant speed [m/s]; -1: as given", (-1, 100)),
+        declare(
+            node,
+            "lateral_acceleration",
+            default.lateral_acceleration,
+            "largest along the CSV's path [m/s^2]; -1: speed as given",
+            (-1, 20),
+        ),
+        declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
+    )
+    return choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
