@@ -78,7 +78,7 @@ def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tu
 def sampled_model(vehicle: Vehicle, v_x: float, T: float, actuator: Actuator) -> SampledModel:
     """Give the model of one step of T [s]."""
     blank = SampledModel(np.full((STATES, STATES), np.nan), *np.zeros((3, STATES)))
-    preview_model.sample(vehicle, v_x, T, actuator, blank, make_scratch(ENOUGH))
+    preview_model.sample_model(vehicle, v_x, T, actuator, blank, make_scratch(ENOUGH))
     return blank
 
 

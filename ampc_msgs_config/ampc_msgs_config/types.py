@@ -14,6 +14,9 @@ from ampc_msgs_config.compiled import compiled
 
 NANOSECONDS = 1_000_000_000
 
+Array = NDArray[np.float64]
+"""Array of real numbers; its shape is stated where it is used."""
+
 
 class VehicleState(NamedTuple):
     """Measured motion of the car at one instant, as `odom` carries it."""

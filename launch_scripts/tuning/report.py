@@ -8,10 +8,10 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table as Lines
 
+from ampc_msgs_config.types import Array
 from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from launch_scripts.tuning.fitness import Node, fitness
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.search import Found
 from launch_scripts.tuning.task import (
     RANDOM,

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import search
 from ampc_ros.pso.swarm import Swarm
 from launch_scripts.tuning.files import Checkpoints
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.space import dimensions
 from launch_scripts.tuning.task import Job
 from launch_scripts.tuning.workers import Workers

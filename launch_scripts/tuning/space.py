@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains
 from ampc_ros.pso.settings import Dimension, space
-from launch_scripts.tuning.fleet import Array
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
 """Of the gains in their order, as the paper writes them."""

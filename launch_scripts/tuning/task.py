@@ -11,11 +11,11 @@ import numpy as np
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.pso.settings import PsoSettings
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import FITNESS, Node, fitness, gains_of_row
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.space import SYMBOLS, SearchSpace, gains_at
 from sim_vehicle.parameters import Vehicle, load_vehicle
 

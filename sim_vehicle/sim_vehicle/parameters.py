@@ -1,15 +1,11 @@
 """What a vehicle file says about the real car, beyond what the controller reads of it."""
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, get_type_hints
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config import config
-from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     Checked,
@@ -106,19 +102,6 @@ class Vehicle(NamedTuple):
     powertrain: PowertrainParameters
 
 
-class Numbers(NamedTuple):
-    """The same for compiled code: each section in the order of its fields."""
-
-    chassis: tuple[float, ...]
-    steering: tuple[float, ...]
-    body: tuple[float, ...]
-    front_tyre: tuple[float, ...]
-    """(magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0) of one tyre of the axle."""
-    rear_tyre: tuple[float, ...]
-    air: tuple[float, ...]
-    powertrain: tuple[float, ...]
-
-
 def load_vehicle(file: Path) -> Vehicle:
     """Load a vehicle file.
 
@@ -135,58 +118,3 @@ def load_vehicle(file: Path) -> Vehicle:
     return Vehicle(
         *(config.build(cls, content[key], f"{file}: {key}") for key, cls in sections.items())
     )
-
-
-def numbers(vehicle: Vehicle) -> Numbers:
-    """Give a vehicle as compiled code takes it."""
-    chassis = vehicle.chassis
-    axle_load = 0.5 * chassis.mass * GRAVITY / chassis.wheelbase  # per tyre and metre of lever
-    front_load, rear_load = (
-        axle_load * chassis.cg_to_rear_axle,
-        axle_load * chassis.cg_to_front_axle,
-    )
-    return Numbers(
-        chassis=astuple(chassis),
-        steering=astuple(vehicle.steering),
-        body=astuple(vehicle.body),
-        front_tyre=_tyre(vehicle.tyre, chassis.front_cornering_stiffness, front_load),
-        rear_tyre=_tyre(vehicle.tyre, chassis.rear_cornering_stiffness, rear_load),
-        air=astuple(vehicle.aerodynamics),
-        powertrain=astuple(vehicle.powertrain),
-    )
-
-
-def flat_numbers(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Give the same as a row, section after section, so that a swarm of cars is a matrix."""
-    return np.array([number for section in numbers(vehicle) for number in section])
-
-
-@in_place
-def numbers_of(row: NDArray[np.float64]) -> Numbers:
-    """Give the numbers of a car from its row of `flat_numbers`."""
-    return Numbers(
-        chassis=(row[0], row[1], row[2], row[3], row[4], row[5]),
-        steering=_four(row, 6),
-        body=_four(row, 10),
-        front_tyre=_nine(row, 14),
-        rear_tyre=_nine(row, 23),
-        air=_four(row, 32),
-        powertrain=(row[36], row[37], row[38], row[39], row[40], row[41], row[42]),
-    )
-
-
-@inlined
-def _four(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
-    return row[i], row[i + 1], row[i + 2], row[i + 3]
-
-
-@inlined
-def _nine(row: NDArray[np.float64], i: int) -> tuple[float, ...]:
-    a, b, c, d = _four(row, i)
-    e, f, g, h = _four(row, i + 4)
-    return a, b, c, d, e, f, g, h, row[i + 8]
-
-
-def _tyre(tyre: TyreParameters, stiffness: float, static_load: float) -> tuple[float, ...]:
-    model, _, *shape = astuple(tyre)
-    return (float(model == "pacejka"), *shape, stiffness, static_load)

@@ -23,7 +23,7 @@ from ampc_msgs_config.paths.path import Array, Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame
 from ampc_msgs_config.types import Diagnosis, VehicleState
-from ampc_ros.mpc.active_set import active_set, solver_numbers
+from ampc_ros.mpc.active_set import active_set, active_set_numbers
 from ampc_ros.mpc.gain_table import BOUNDS, Gains, GainTable, Table
 from ampc_ros.mpc.hildreth import hildreth, hildreth_numbers
 from ampc_ros.mpc.qp import SOLVED
@@ -160,9 +160,9 @@ def test_a_thousand_ticks_allocate_as_little_as_one(
     steering = replace(CAR.steering, delay=0.13, lag=0.05)
     other = PreviewMpc(CAR.chassis, steering, limits, table)
     frame, points = path_frame(BEND), np.empty((other.horizon, 3))
-    paper = one.numbers, one.table, BEND, frame, new_memory(), one.scratch, np.empty(12)
-    sent = new_preview_memory(other.belief.actuator.ticks)
-    ahead = other.numbers, other.table, BEND, sent, other.scratch, points
+    paper = one.model_row, one.table, BEND, frame, new_memory(), one.scratch, np.empty(12)
+    sent = new_preview_memory(other.model.actuator.ticks)
+    ahead = other.model_row, other.table, BEND, sent, other.scratch, points
     allocating = compiled(makes_an_array)
 
     def allocated(drive: Callable[..., float], ticks: int, *rest: Any) -> int:
@@ -228,7 +228,7 @@ def test_solvers_need_what_their_formulas_say_and_give_it_back(kind: str) -> Non
     for _ in range(50):
         qp = random_problem(rng, kind)
         m, n = qp.M.shape
-        scratch = make_scratch(solver_numbers(m, n))
+        scratch = make_scratch(active_set_numbers(m, n))
         _, status = active_set(qp, np.zeros(n), np.zeros(m), scratch)
         assert (status, scratch.used[0]) == (SOLVED, 0)
         scratch = make_scratch(hildreth_numbers(m, n))

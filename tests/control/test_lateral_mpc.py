@@ -151,6 +151,24 @@ def test_standing_car_gets_finite_commands(gains: Gains, seed: int) -> None:
         assert math.isfinite(mpc.step(rear, BEND).steering)
 
 
+def test_plan_continues_from_the_angle_in_force_and_begins_with_the_command() -> None:
+    mpc = controller()
+    mpc.memory[STEERING] = 0.12
+    command = mpc.step(state(0, left=-1.0), ROAD)
+    assert command.plan is not None
+    assert len(command.plan) == GENTLE.control_horizon
+    assert command.plan[0] == pytest.approx(command.steering, abs=1e-12)
+    increments = np.diff(command.plan, prepend=0.12)
+    assert np.abs(increments).max() <= SETTINGS.max_increment + 1e-9
+    assert np.abs(increments).max() > 1e-3
+
+
+def test_conditioning_is_checked_at_the_highest_speed_too() -> None:
+    singular_at_27 = Gains(45, 15, 7, 0.75, 10.0, 0.01)  # cond(E) = 7e10 at 3 m/s
+    with pytest.raises(ValueError, match=r"laguerre_terms = 7 .*cond\(E\) = 6.0e\+12 at 27 m/s"):
+        controller(singular_at_27)
+
+
 def test_angle_is_held_and_reported_where_the_solver_did_not_finish() -> None:
     mpc = controller(load_gain_table("table3").nodes[0], solver="hildreth", hildreth_sweeps=1.0)
     mpc.memory[STEERING] = 0.1
@@ -185,7 +203,7 @@ def test_classic_controller_is_the_adaptive_one_with_its_model_at_one_speed() ->
     assert fixed.step(faster, ROAD).steering != adaptive.step(faster, ROAD).steering
     classic = make_controller(Choices("classic"))
     assert isinstance(classic, LateralMpc)
-    assert classic.belief.nominal_speed == CLASSIC_SPEED
+    assert classic.model.nominal_speed == CLASSIC_SPEED
 
 
 def test_new_path_keeps_the_angle_and_forgets_the_last_increment() -> None:

@@ -48,7 +48,7 @@ def numerical_jacobian(chassis: ChassisParameters, v_x: float) -> Array:
 
 
 @both_cars
-@pytest.mark.parametrize("v_x", [1.0, 3.0, 9.0, 15.0, 27.0, 40.0])
+@pytest.mark.parametrize("v_x", [1.0, 9.0, 40.0])
 def test_model_is_the_jacobian_of_the_nonlinear_bicycle(
     chassis: ChassisParameters, v_x: float
 ) -> None:
@@ -58,16 +58,14 @@ def test_model_is_the_jacobian_of_the_nonlinear_bicycle(
 
 
 @both_cars
-@pytest.mark.parametrize("v_x", [0.0, 0.3, 0.999, -2.0])
 def test_model_below_one_metre_per_second_is_that_of_one_metre_per_second(
-    chassis: ChassisParameters, v_x: float
+    chassis: ChassisParameters,
 ) -> None:
-    for slow, held in zip(
-        lateral_dynamics(astuple(chassis), v_x),
-        lateral_dynamics(astuple(chassis), MIN_SPEED),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(slow, held)
+    held = lateral_dynamics(astuple(chassis), MIN_SPEED)
+    for v_x in (-2.0, 0.0, 0.999):
+        slow = lateral_dynamics(astuple(chassis), v_x)
+        for one, other in zip(slow, held, strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @many
@@ -102,9 +100,11 @@ def block_matrix(chassis: ChassisParameters, v_x: float, lag: float) -> Array:
 
 
 @both_cars
-@pytest.mark.parametrize("T", [0.001, 0.01, 0.05, 0.1, 1.0])
-@pytest.mark.parametrize("lag", [0.0, 0.001, 0.01, 0.1, 1.0])
-@pytest.mark.parametrize("v_x", [0.0, 1.0, 1.7, 4.0, 9.0, 27.0, 40.0, 60.0])
+@pytest.mark.parametrize(
+    ("v_x", "lag", "T"),
+    [(0.0, 0.0, 0.1), (1.7, 0.001, 1.0), (9.0, 0.1, 0.001), (60.0, 1.0, 0.05)],
+    ids=["standstill without lag", "stiff lag", "small step", "fast"],
+)
 def test_zero_order_hold_is_the_exponential_of_the_block_matrix(
     chassis: ChassisParameters, v_x: float, lag: float, T: float
 ) -> None:

@@ -168,7 +168,7 @@ def active_sets(m: int, n: int) -> Iterator[list[int]]:
 
 
 @pytest.mark.parametrize(("kind", "digits"), [("plain", 1e-5), ("two sides", 1e-4)])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_exact_solver_agrees_with_scipy(kind: str, digits: float, seed: int) -> None:
     E, K, M, low, high = qp = random_problem(np.random.default_rng(100 + seed), kind)
     options: Any = {"gtol": 1e-10, "xtol": 1e-12, "barrier_tol": 1e-11, "maxiter": 2000}
@@ -229,10 +229,10 @@ def test_two_equations_that_contradict_each_other_are_infeasible() -> None:
 
 
 @both_solvers
-@pytest.mark.parametrize("start", [-5.0, 0.0, 5.0])
-def test_row_whose_sides_contradict_each_other_is_infeasible(solver: Solver, start: float) -> None:
+def test_row_whose_sides_contradict_each_other_is_infeasible(solver: Solver) -> None:
     one = np.ones(1)
-    assert solver(Qp(np.eye(1), -start * one, np.eye(1), one, -one)).status == INFEASIBLE
+    for start in (-5.0, 0.0, 5.0):
+        assert solver(Qp(np.eye(1), -start * one, np.eye(1), one, -one)).status == INFEASIBLE
 
 
 def test_row_that_is_violated_as_much_as_one_of_larger_numbers_is_not_passed_over() -> None:
@@ -288,28 +288,27 @@ def disagreement(qp: Qp, one: QpSolution, other: QpSolution) -> float:
     return float(np.sqrt(difference @ qp.E @ difference / (qp.K @ np.linalg.solve(qp.E, qp.K))))
 
 
-@pytest.mark.parametrize("sweeps", [1, 38, 2000])
 @pytest.mark.parametrize("kind", KINDS)
-def test_hildreth_is_exact_where_it_claims_to_have_converged(kind: str, sweeps: int) -> None:
-    rng = np.random.default_rng(5)
-    claims = 0
-    for _ in range(few(200)):
-        qp = random_problem(rng, kind)
-        solution = hildreth_solution(qp, sweeps, 1e-7)
-        assert solution.iterations <= sweeps
-        if solution.converged:
-            claims += 1
-            assert disagreement(qp, solution, active_set(qp)) < 1e-5
-    rare = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
-    assert claims > (0 if rare else 20) or few(200) < 200
+def test_hildreth_is_exact_if_it_reports_convergence(kind: str) -> None:
+    for sweeps in (1, 38, 2000):
+        rng, converged = np.random.default_rng(5), 0
+        for _ in range(few(200)):
+            qp = random_problem(rng, kind)
+            solution = hildreth_solution(qp, sweeps, 1e-7)
+            assert solution.iterations <= sweeps
+            if solution.converged:
+                converged += 1
+                assert disagreement(qp, solution, active_set(qp)) < 1e-5
+        rare = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
+        assert converged > (0 if rare else 20) or few(200) < 200
 
 
-@pytest.mark.parametrize("sweeps", [1, 38, 2000])
-def test_hildreth_never_claims_to_have_solved_an_infeasible_problem(sweeps: int) -> None:
+def test_hildreth_never_reports_convergence_on_an_infeasible_problem() -> None:
     rng = np.random.default_rng(6)
     for _ in range(few(100)):
         qp, _ = infeasible_problem(rng)
-        assert hildreth_solution(qp, sweeps, 1e-7).status == UNFINISHED
+        for sweeps in (1, 38, 2000):
+            assert hildreth_solution(qp, sweeps, 1e-7).status == UNFINISHED
 
 
 def textbook_sweeps(E: Array, K: Array, M: Array, gamma: Array, sweeps: int) -> Array:

@@ -9,9 +9,10 @@ from scipy.optimize import brentq
 
 from ampc_msgs_config import config
 from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
+from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import GRAVITY, Vehicle, load_vehicle
-from sim_vehicle.vehicle import V_X, V_Y, YAW_RATE, Array, X
+from sim_vehicle.vehicle import V_X, V_Y, YAW_RATE, X
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))

@@ -12,10 +12,12 @@ from scipy.signal import lsim
 
 from ampc_msgs_config import config
 from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.types import Array
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import GRAVITY, Vehicle, load_vehicle, numbers
-from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, Array, X, Y
+from sim_vehicle.parameters import GRAVITY, Vehicle, load_vehicle
+from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, X, Y
+from sim_vehicle.vehicle_row import vehicle_numbers
 from sim_vehicle.wheels import wheel_loads
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
@@ -132,14 +134,14 @@ def test_motion_does_not_depend_on_the_compass() -> None:
 @given(a_x=st.floats(-100.0, 100.0), a_y=st.floats(-100.0, 100.0))
 def test_wheel_loads_are_never_negative_and_carry_the_weight(a_x: float, a_y: float) -> None:
     for vehicle in (PAPER, ORDINARY):
-        car = numbers(vehicle)
+        car = vehicle_numbers(vehicle)
         loads = wheel_loads(a_x, a_y, car.chassis, car.body)
         assert min(loads) >= 0.0
         assert sum(loads) == pytest.approx(vehicle.chassis.mass * GRAVITY)
 
 
 def test_wheel_loads_shift_to_the_outside_of_the_curve_and_forward_under_braking() -> None:
-    car, m = numbers(PAPER), PAPER.chassis.mass
+    car, m = vehicle_numbers(PAPER), PAPER.chassis.mass
     assert wheel_loads(0.0, 0.0, car.chassis, car.body) == pytest.approx(
         [4414.5] * 2 + [3310.9] * 2, abs=0.1
     )
@@ -151,7 +153,7 @@ def test_wheel_loads_shift_to_the_outside_of_the_curve_and_forward_under_braking
 
 
 def test_static_loads_are_the_reference_loads_of_the_tyres() -> None:
-    car = numbers(PAPER)
+    car = vehicle_numbers(PAPER)
     loads = wheel_loads(0.0, 0.0, car.chassis, car.body)
     assert (car.front_tyre[-1], car.rear_tyre[-1]) == pytest.approx((loads[0], loads[2]))
 
@@ -170,7 +172,7 @@ def test_lateral_acceleration_stays_below_the_friction(
 def test_side_wind_of_25_metres_a_second_is_that_of_the_nominal_plant() -> None:
     for side in (1.0, -1.0):
         _, force, moment = air_forces(
-            (0.0, 0.0), (1.0, 0.0), (0.0, 25.0 * side), numbers(PAPER).air
+            (0.0, 0.0), (1.0, 0.0), (0.0, 25.0 * side), vehicle_numbers(PAPER).air
         )
         assert (force, moment) == pytest.approx((1723.0 * side, 603.0 * side), abs=1.0)
 
@@ -180,7 +182,7 @@ def test_side_wind_of_25_metres_a_second_is_that_of_the_nominal_plant() -> None:
 def test_side_force_and_yaw_moment_are_odd_in_the_wind_angle(angle: float, speed: float) -> None:
     def air(direction: float) -> tuple[float, float, float]:
         wind = 20.0 * math.cos(direction), 20.0 * math.sin(direction)
-        return air_forces((speed, 0.0), (1.0, 0.0), wind, numbers(PAPER).air)
+        return air_forces((speed, 0.0), (1.0, 0.0), wind, vehicle_numbers(PAPER).air)
 
     drag, side, moment = air(angle)
     assert air(-angle) == pytest.approx((drag, -side, -moment))
