@@ -116,7 +116,8 @@ def compile_without_allocation(function: F, **options: Any) -> F:
     Note:
         `_nrt` is a private option of numba: this is the only place that uses it.
     """
-    return cast(F, numba.njit(error_model="numpy", nogil=True, _nrt=False, **options)(function))
+    njit: Any = numba.njit  # its type does not know the private option
+    return cast(F, njit(error_model="numpy", nogil=True, _nrt=False, **options)(function))
 
 
 def in_place(function: F) -> F:

@@ -7,6 +7,7 @@ import pytest
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import (
     ROW_SIZE,
     Actuator,
@@ -41,7 +42,8 @@ def test_internal_model_is_unpacked_as_it_was_packed(
 
 
 def test_every_number_of_the_row_is_read_once_and_in_order() -> None:
-    vehicle, limits, actuator, *rest = unpack_internal_model(np.arange(1.0, ROW_SIZE + 1))
+    row: Array = np.arange(1.0, ROW_SIZE + 1, dtype=np.float64)
+    vehicle, limits, actuator, *rest = unpack_internal_model(row)
     numbers = [*vehicle, *limits, *actuator, *rest]
     numbers[len(vehicle) + limits._fields.index("exact")] = 12.0  # a boolean
     assert numbers == list(range(1, ROW_SIZE + 1))
