@@ -75,7 +75,7 @@ def test_the_source_hash_changes_with_a_file_in_any_subfolder(
 
 @pytest.mark.parametrize("home", BAD_HOMES)
 @pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME"])
-def test_where_the_cache_cannot_be_written_a_temporary_folder_serves_and_one_line_says_so(
+def test_a_temporary_folder_replaces_an_unwritable_cache_with_one_warning(
     home: str,
     variable: str,
     temporary: Path,

@@ -21,7 +21,7 @@ many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def two_speeds() -> GainTable:
-    """Give a table with SLOW at 5 m/s and FAST at 15 m/s."""
+    """Return a table with SLOW at 5 m/s and FAST at 15 m/s."""
     return GainTable([5.0, 15.0], [0.0], [SLOW, FAST])
 
 
@@ -104,13 +104,13 @@ def test_integers_change_once_another_node_is_clearly_nearer() -> None:
 
 
 def content(**changes: Any) -> dict[str, Any]:
-    """Give the content of a good file with some keys changed; None removes one."""
+    """Return the content of a good file with some keys changed; None removes one."""
     good = {"speed": [5.0, 15.0], "gains": [dict(SLOW._asdict()), dict(FAST._asdict())]}
     return {key: value for key, value in {**good, **changes}.items() if value is not None}
 
 
 def with_gain(key: str, value: Any) -> dict[str, Any]:
-    """Give the content of a file whose second entry has one bad value."""
+    """Return the content of a file whose second entry has one bad value."""
     return content(gains=[dict(SLOW._asdict()), {**FAST._asdict(), key: value}])
 
 

@@ -42,18 +42,18 @@ gain_sets = st.builds(
 
 
 def controller(gains: Gains = GENTLE, **options: float | str) -> LateralMpc:
-    """Give the controller of the paper's car with one gain set and these settings."""
+    """Return the controller of the paper's car with one gain set and these settings."""
     table = GainTable([9.0], [0.0], [gains])
     return LateralMpc(CHASSIS, replace(SETTINGS, **options), table)  # type: ignore[arg-type]
 
 
 def state(tick: int, left: float = 0.0, yaw: float = 0.0, v_x: float = 9.0) -> VehicleState:
-    """Give a state of the rear axle on its way along ROAD."""
+    """Return a state of the rear axle on its way along ROAD."""
     return VehicleState(tick * 100_000_000, 0.1 * v_x * tick, left, yaw, v_x, 0.02, 0.01)
 
 
 def textbook_move(x: Array, r: float, u: float, v_x: float, gains: Gains) -> float:
-    """Give the first increment by Eqs. (7)-(17) in dense numpy and a library's solver [rad]."""
+    """Return the first increment by Eqs. (7)-(17) in dense numpy and a library's solver [rad]."""
     N_p, N_c, N, alpha, Q, R = gains
     A_c, B_c = lateral_dynamics(astuple(CHASSIS), v_x)
     block = np.zeros((5, 5))
@@ -228,7 +228,7 @@ def test_reset_controller_is_as_a_new_one() -> None:
         assert mpc.step(rear, BEND).steering == fresh.step(rear, BEND).steering
 
 
-def test_diagnosis_tells_errors_gains_rows_and_table() -> None:
+def test_diagnosis_contains_errors_gains_rows_and_table() -> None:
     table = GainTable([9.0, 10.0], [0.0], [GENTLE, GENTLE])
     mpc = LateralMpc(CHASSIS, replace(SETTINGS, max_output_error=0.5), table)
     far = VehicleState(7, 10.0, 4.0, 0.1, 20.0, 0.0, 0.0)
@@ -278,7 +278,7 @@ def test_every_controller_warms_up_and_starts_afresh(name: str, vehicle: str) ->
 
 
 @pytest.mark.parametrize(
-    ("choices", "complaint"),
+    ("choices", "message"),
     [
         (Choices("pid"), "controller = 'pid' must be one of preview, paper, classic, pure_pursuit"),
         (Choices(vehicle="tank"), "'tank' is neither a file nor one of the shipped vehicles"),
@@ -286,6 +286,6 @@ def test_every_controller_warms_up_and_starts_afresh(name: str, vehicle: str) ->
         (Choices(gain_table="none"), "'none' is neither a file nor one of the shipped gains"),
     ],
 )
-def test_wrong_choice_is_refused_by_name(choices: Choices, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
+def test_wrong_choice_is_rejected_by_name(choices: Choices, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         make_controller(choices)

@@ -22,7 +22,7 @@ many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def nonlinear_bicycle(chassis: ChassisParameters, v_x: float, x: Array, delta: float) -> Array:
-    """Give the rates of [v_y, yaw, yaw rate, Y] by Eqs. (1)-(5), nothing linearised."""
+    """Return the rates of [v_y, yaw, yaw rate, Y] by Eqs. (1)-(5), nothing linearised."""
     m, I_z, l_f, l_r, C_f, C_r = astuple(chassis)
     v_y, yaw, r, _ = x
     F_f = C_f * (delta - math.atan((v_y + l_f * r) / v_x))  # per tyre, Eqs. (2)-(4)
@@ -38,7 +38,7 @@ def nonlinear_bicycle(chassis: ChassisParameters, v_x: float, x: Array, delta: f
 
 
 def numerical_jacobian(chassis: ChassisParameters, v_x: float) -> Array:
-    """Give d rates / d (state, angle) about straight driving by central differences, (4, 5)."""
+    """Return d rates / d (state, angle) about straight driving by central differences, (4, 5)."""
     h = 1e-4
     columns = []
     for step in h * np.eye(5):
@@ -90,7 +90,7 @@ def test_exponential_and_its_integrals_are_those_of_van_loan_s_block_matrix(
 
 
 def block_matrix(chassis: ChassisParameters, v_x: float, lag: float) -> Array:
-    """Give [[A, B], [0, 0]] (6, 6) of Eq. (7) with a steering that lags."""
+    """Return [[A, B], [0, 0]] (6, 6) of Eq. (7) with a steering that lags."""
     block = np.zeros((STATES + 1, STATES + 1))
     block[:4, :4], B_c = lateral_dynamics(astuple(chassis), v_x)
     block[:4, DELTA if lag > 0.0 else STATES] = B_c

@@ -115,11 +115,11 @@ def simulate(
     delayed = np.concatenate((np.zeros(late), commands))
     for command, air, target in zip(delayed, wind, targets, strict=False):
         delta = road_wheel_angle(delta, command, h, car)
-        given = delta, air, target, mu, h, car
-        k_1 = rates(z, *given)
-        k_2 = rates(z + h / 2 * k_1, *given)
-        k_3 = rates(z + h / 2 * k_2, *given)
-        k_4 = rates(z + h * k_3, *given)
+        inputs = delta, air, target, mu, h, car
+        k_1 = rates(z, *inputs)
+        k_2 = rates(z + h / 2 * k_1, *inputs)
+        k_3 = rates(z + h / 2 * k_2, *inputs)
+        k_4 = rates(z + h * k_3, *inputs)
         z = z + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
         z[3] *= not stands(z[3], z[4], target)
         rows.append(np.append(z, delta))

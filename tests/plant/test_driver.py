@@ -21,12 +21,12 @@ both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def calm(seconds: float) -> Array:
-    """Give still air for a while, at the default step."""
+    """Return still air for a while, at the default step."""
     return np.zeros((round(seconds / 0.005), 2))
 
 
 def without_resistance(vehicle: Vehicle) -> Vehicle:
-    """Give the car without drag, side force and rolling resistance."""
+    """Return the car without drag, side force and rolling resistance."""
     return vehicle._replace(
         aerodynamics=replace(vehicle.aerodynamics, drag_area=0.0, side_area=0.0),
         powertrain=replace(vehicle.powertrain, rolling_resistance=0.0),

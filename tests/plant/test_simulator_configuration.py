@@ -22,7 +22,7 @@ WHERE = "run/bag: simulator/configuration"
 
 
 def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> Configuration:
-    """Give the configuration of a shipped scenario and car."""
+    """Return the configuration of a shipped scenario and car."""
     car = load_vehicle(find("vehicles", vehicle))
     return Configuration(car, load_scenario(scenario, car.size), **options)
 

@@ -27,7 +27,7 @@ both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def with_tyre(vehicle: Vehicle, model: str) -> Vehicle:
-    """Give the car on tyres of this model."""
+    """Return the car on tyres of this model."""
     return vehicle._replace(tyre=replace(vehicle.tyre, model=model))
 
 
@@ -44,7 +44,7 @@ def driven(
 
 
 def lane_change(amplitude: float) -> Array:
-    """Give the steering of a double lane change in one sine and back [rad]."""
+    """Return the steering of a double lane change in one sine and back [rad]."""
     time = np.arange(0.0, 6.0, 0.1)
     move = amplitude * np.sin(math.tau * time / 2.0)
     return np.where(time < 2.0, move, np.where((time >= 3.0) & (time < 5.0), -move, 0.0))
@@ -66,7 +66,7 @@ def test_steady_yaw_rate_is_that_of_the_understeer_gradient_within_one_percent(
 
 
 def bicycle(chassis: ChassisParameters, v: float, sigma: float) -> tuple[Array, Array]:
-    """Give A and B of the linear single-track model; states v_y, r and the lagged slip angles."""
+    """Return A and B of the linear single-track model; states v_y, r and the lagged slip angles."""
     m, I_z, l_f, l_r = (
         chassis.mass,
         chassis.yaw_inertia,

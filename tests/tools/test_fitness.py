@@ -60,7 +60,7 @@ def test_left_and_right_are_equally_hard() -> None:
     assert fitness(right, [TABLE_3])[0] == pytest.approx(fitness(STEP, [TABLE_3])[0], rel=1e-9)
 
 
-def test_a_node_that_asks_for_nothing_is_given_a_small_step() -> None:
+def test_a_node_without_a_lateral_reference_uses_a_small_step() -> None:
     assert fitness(STEP._replace(reference=0.0), [TABLE_3])[0] > 0.01
 
 

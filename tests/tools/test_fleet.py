@@ -31,7 +31,7 @@ NOISE = load(MeasurementNoise, find("noise", "x1"))
 
 
 def circuit() -> Scenario:
-    """Give two laps of a closed path at a speed over distance."""
+    """Return two laps of a closed path at a speed over distance."""
     angle = np.linspace(0.0, math.tau, 200)
     points = np.column_stack((60 * np.sin(angle), 40 * (1 - np.cos(angle)))).astype(np.float64)
     at = np.array([0.0, 80.0, 200.0, 318.0])
@@ -39,8 +39,8 @@ def circuit() -> Scenario:
     return Scenario("circuit", points, profile, 12.0)
 
 
-def believed(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
-    """Make a controller that knows its car."""
+def controller_of(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
+    """Create a controller with this internal model."""
     if kind == "preview":
         return PreviewMpc(vehicle.chassis, vehicle.steering, SETTINGS, load_gain_table("preview"))
     nominal = 9.0 if kind == "classic" else 0.0
@@ -49,7 +49,7 @@ def believed(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
 
 
 def entries(kind: str) -> list[Entry]:
-    """Give cars that differ in road, load, steering, friction, noise and linkage."""
+    """Return cars that differ in road, load, steering, friction, noise and linkage."""
     lagging = PAPER._replace(steering=replace(PAPER.steering, delay=0.13, lag=0.1))
     heavy = PAPER._replace(chassis=replace(PAPER.chassis, mass=1900.0))
     roads = {name: load_scenario(name, PAPER.size) for name in ("sc1", "sc2", "sc3_wind")}
@@ -63,20 +63,24 @@ def entries(kind: str) -> list[Entry]:
     if kind == "preview":
         short.append((lagging, lagging, circuit(), {}, 0.0))
     return [
-        Entry(Simulation(car, road._replace(start_offset=0.3), **options), believed(kind, known), u)
-        for known, car, road, options, u in short
+        Entry(
+            Simulation(car, road._replace(start_offset=0.3), **options),
+            controller_of(kind, model),
+            u,
+        )
+        for model, car, road, options, u in short
     ]
 
 
 class Misaligned:
-    """A controller behind a linkage that adds an angle."""
+    """Controller behind a linkage that adds an angle."""
 
     def __init__(self, entry: Entry) -> None:
-        """Steer as the controller of an entry does."""
+        """Wrap the controller of an entry."""
         self.entry, self.period = entry, entry.controller.period
 
     def step(self, *arguments: object):  # type: ignore[no-untyped-def]
-        """Answer a state."""
+        """Return the command with the angle added."""
         command = self.entry.controller.step(*arguments)  # type: ignore[arg-type]
         return command._replace(steering=command.steering + self.entry.misalignment)
 
@@ -87,7 +91,7 @@ def one_by_one(entry: Entry) -> Drive:
 
 
 def motion(driven: Drive) -> Array:
-    """Give all that was measured (n, 7)."""
+    """Return all that was measured (n, 7)."""
     return np.array(driven.states, dtype=float)
 
 
@@ -138,7 +142,7 @@ def test_mirrored_road_and_start_give_the_mirrored_drive() -> None:
     mirrored = road._replace(points=road.points * (1.0, -1.0), start_offset=-0.4)
     left, right = run_fleet(
         prepare_fleet(
-            [Entry(Simulation(PAPER, r), believed("preview", PAPER)) for r in (road, mirrored)]
+            [Entry(Simulation(PAPER, r), controller_of("preview", PAPER)) for r in (road, mirrored)]
         )
     )
     signs = np.array([-1, -1, 1, 1, -1, -1, 1, -1, -1])
@@ -164,7 +168,7 @@ def test_a_drive_allocates_no_more_the_longer_it_is() -> None:
     allocations = []
     for duration in (0.1, 0.1, 10.0):
         simulation = Simulation(PAPER, road._replace(duration=duration))
-        expedition = prepare_fleet([Entry(simulation, believed("preview", PAPER))])
+        expedition = prepare_fleet([Entry(simulation, controller_of("preview", PAPER))])
         before = runtime.rtsys.get_allocation_stats().mi_alloc
         run_fleet(expedition)
         allocations.append(runtime.rtsys.get_allocation_stats().mi_alloc - before)

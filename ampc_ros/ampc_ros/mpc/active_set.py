@@ -7,9 +7,6 @@ global lock. The tests compare it with DAQP and SciPy.
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import (
@@ -18,7 +15,6 @@ from ampc_ros.mpc.qp import (
     UNFINISHED,
     NearestPoint,
     Qp,
-    QpSolution,
     nearest_point,
     unit_row,
 )
@@ -27,7 +23,6 @@ from ampc_ros.mpc.small_matrices import (
     backward,
     dot,
     forward,
-    make_scratch,
     matrix,
     project_out,
     vector,
@@ -72,37 +67,6 @@ class ActiveRows(NamedTuple):
     """(n,) part of that vector orthogonal to the basis."""
     held: Array
     """(n,) auxiliary."""
-
-
-def solution_of(qp: Qp) -> QpSolution:
-    """Solve a QP with `active_set` in newly allocated memory."""
-    memory = solver_memory(*qp.M.shape)
-    iterations, status = solve_in(tuple(qp), memory)
-    return QpSolution(memory[0], memory[1], iterations, status)
-
-
-def solver_memory(m: int, n: int) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Allocate the memory of `solve_in` for m rows of n unknowns: x, multipliers, scratch."""
-    return np.zeros(n), np.zeros(m), *make_scratch(active_set_numbers(m, n))
-
-
-@in_place
-def solve_in(
-    qp: tuple[Array, ...], memory: tuple[Array, Array, Array, NDArray[np.int64]]
-) -> tuple[int, int]:
-    """Call `active_set` from Python with plain tuples; see doc/compiled_code.md.
-
-    Args:
-        qp: Fields of a Qp.
-        memory: From `solver_memory`; may be reused.
-
-    Returns:
-        Number of rows that entered, and the status.
-    """
-    x, multipliers, numbers, used = memory
-    for i in range(len(multipliers)):
-        multipliers[i] = 0.0
-    return active_set(Qp(*qp), x, multipliers, Scratch(numbers, used))
 
 
 def active_set_numbers(m: int, n: int) -> int:

@@ -26,24 +26,6 @@ class Qp(NamedTuple):
     """(m,), may be inf."""
 
 
-class QpSolution(NamedTuple):
-    """Result of a solver; x must be applied only if `converged`."""
-
-    x: Array
-    """(n,)."""
-    multipliers: Array
-    """lambda of Eq. (30), (m,): positive at the upper bound, negative at the lower one."""
-    iterations: int
-    """Number of rows that entered the active set, or of sweeps."""
-    status: int
-    """SOLVED, INFEASIBLE, UNFINISHED or NOT_CONVEX."""
-
-    @property
-    def converged(self) -> bool:
-        """Whether x is the minimiser."""
-        return self.status == SOLVED
-
-
 class NearestPoint(NamedTuple):
     """The QP in w = C' x with E = C C': find the point of a polyhedron nearest to `start`."""
 

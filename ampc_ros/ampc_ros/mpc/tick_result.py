@@ -1,4 +1,4 @@
-"""Results of one tick that both formulations share: plan, command and diagnosis."""
+"""Results of one tick that both formulations share: QP result, command and diagnosis."""
 
 import math
 from typing import NamedTuple
@@ -18,7 +18,7 @@ It lies below zero so that a standing car with measurement noise does not count 
 """
 
 
-class Plan(NamedTuple):
+class QpResult(NamedTuple):
     """Solution of the QP of one tick, reduced to what the tick needs."""
 
     steering: float
@@ -48,7 +48,7 @@ def diagnose(
     errors: tuple[float, float],
     road_values: tuple[float, float, float],
     mode: int,
-    plan: Plan,
+    plan: QpResult,
     gains: Gains,
     steers: bool,
     outside: bool,

@@ -15,7 +15,7 @@ from ampc_ros.mpc.prediction import predict, quadratic_cost
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import blank_qp, count_active, scratch_numbers, solve_qp
 from ampc_ros.mpc.small_matrices import Scratch, dot, make_scratch, matrix, vector
-from ampc_ros.mpc.tick_result import Plan
+from ampc_ros.mpc.tick_result import QpResult
 
 MAX_CONDITION = 1e12
 """Largest accepted condition number of E; beyond it the solver would lose its digits."""
@@ -67,7 +67,7 @@ def build_qp(
 @inlined
 def paper_plan(
     vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput, angles: Array, scratch: Scratch
-) -> Plan:
+) -> QpResult:
     """Build and solve the QP of one tick, and apply its first increment.
 
     If the solver fails, the angle in force is held.
@@ -86,7 +86,7 @@ def paper_plan(
     build_qp(vehicle, gains, limits, step, qp, scratch)
     eta, multipliers = vector(scratch, len(qp.K)), vector(scratch, len(qp.low))
     iterations, status = solve_qp(qp, limits, eta, multipliers, scratch)
-    # Plan: rows 0, 2, .. of M are the Laguerre functions, rows 1, 3, .. their running sum
+    # QpResult: rows 0, 2, .. of M are the Laguerre functions, rows 1, 3, .. their running sum
     for i in range(min(N_c, len(angles))):
         angles[i] = step.u + dot(qp.M[2 * i + 1][:N], eta[:N])
     # First move, clipped because the solver keeps bounds only within its tolerance
@@ -94,7 +94,7 @@ def paper_plan(
     Delta_u = first if status == SOLVED else 0.0
     steering = min(max(step.u + Delta_u, -limits.u_max), limits.u_max)
     slack = eta[N] if len(eta) > N else 0.0
-    return Plan(steering, count_active(multipliers), slack, iterations, status)
+    return QpResult(steering, count_active(multipliers), slack, iterations, status)
 
 
 def new_qp(vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput) -> Qp:

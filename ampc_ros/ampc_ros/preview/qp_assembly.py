@@ -14,7 +14,7 @@ from ampc_ros.mpc.prediction import advance_state, quadratic_cost
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import blank_qp, count_active, solve_qp
 from ampc_ros.mpc.small_matrices import Scratch, dot, matrix, vector
-from ampc_ros.mpc.tick_result import Plan
+from ampc_ros.mpc.tick_result import QpResult
 from ampc_ros.preview.model import (
     E_PSI,
     E_Y,
@@ -215,7 +215,7 @@ def preview_plan(
     lateral: Array,
     angles: Array,
     scratch: Scratch,
-) -> Plan:
+) -> QpResult:
     """Compute the angle to command now: nominal steering plus the optimal Laguerre correction.
 
     If the solver fails, the correction is zero.
@@ -266,4 +266,4 @@ def preview_plan(
     slack = eta[N] if len(eta) > N else 0.0
     for i in range(H):
         angles[i] += dot(S[min(i, N_c - 1)], eta[:N])
-    return Plan(angles[0], count_active(multipliers), slack, iterations, status)
+    return QpResult(angles[0], count_active(multipliers), slack, iterations, status)

@@ -29,7 +29,7 @@ from ampc_ros.mpc.internal_model import InternalModel, unpack_internal_model
 from ampc_ros.mpc.model import DELTA, STATES
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
-from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, Plan, TickResult, diagnose
+from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickResult, diagnose
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.qp_assembly import Past, Road, preview_plan
 
@@ -224,7 +224,7 @@ def preview_tick(
     # Gains at this speed
     gains, outside = look_up(table, memory[IN_USE : IN_USE + 2], car.v_x, 0.0)
     steers = position.mode == TRACKING or position.mode == PATH_END
-    plan, change = Plan(memory[len(memory) - 1], 0, 0.0, 0, SOLVED), 0.0
+    plan, change = QpResult(memory[len(memory) - 1], 0, 0.0, 0, SOLVED), 0.0
     disturbance = memory[DISTURBANCE : DISTURBANCE + STATES]
     if steers:
         # Horizon along the path, QP and first move

@@ -17,7 +17,7 @@ from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
-from ampc_ros.mpc.active_set import active_set, active_set_numbers, solve_in, solver_memory
+from ampc_ros.mpc.active_set import active_set, active_set_numbers
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.mpc.internal_model import Limits, limits_of
 from ampc_ros.mpc.laguerre import laguerre_sequence
@@ -25,7 +25,7 @@ from ampc_ros.mpc.model import Vehicle
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import Scratch, make_scratch, vector
-from ampc_ros.mpc.tick_result import Plan
+from ampc_ros.mpc.tick_result import QpResult
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import StepInput, new_qp, paper_plan
 from ampc_ros.preview.controller import PreviewMpc
@@ -33,6 +33,7 @@ from launch_scripts.tuning.fleet import STEERING
 from launch_scripts.tuning.fleet_rows import Entry, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import load_vehicle
+from tests.filled import solve_in, solver_memory
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
 VEHICLE: Vehicle = astuple(CHASSIS)
@@ -118,7 +119,7 @@ def plan_often(
     times: int,
 ) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    memory, step, plan = Scratch(*scratch), StepInput(*tick), Plan(0.0, 0, 0.0, 0, 0)
+    memory, step, plan = Scratch(*scratch), StepInput(*tick), QpResult(0.0, 0, 0.0, 0, 0)
     for _ in range(times):
         memory.used[0] = 0
         no_angles = vector(memory, 0)
