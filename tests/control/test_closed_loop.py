@@ -116,8 +116,9 @@ def test_mirrored_scenario_gives_mirrored_commands(controller: str, name: str) -
     np.testing.assert_allclose(right.steering, -left.steering, atol=1e-9)
 
 
-@pytest.mark.parametrize(("turn", "by"), [(math.pi, (0.0, 0.0)), (2.0, (1000.0, -500.0))])
-@pytest.mark.parametrize("name", ["sc1", "sc2"])
+@pytest.mark.parametrize(
+    ("name", "turn", "by"), [("sc1", math.pi, (0.0, 0.0)), ("sc2", 2.0, (1000.0, -500.0))]
+)
 @every_controller
 def test_place_of_the_path_in_the_map_does_not_matter(
     controller: str, name: str, turn: float, by: tuple[float, float]
@@ -162,7 +163,7 @@ def test_half_the_integration_step_changes_sc1_by_less_than_a_thousandth(control
     assert fine == pytest.approx(coarse, rel=1e-3)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("offset", [0.0, -1.0])
 @every_controller
 def test_standing_car_stays_where_it_is_under_finite_commands(
     controller: str, offset: float

@@ -70,7 +70,7 @@ def test_noise_moves_car_and_wheel_no_more_than_at_10_hz_is_allowed(rate: int) -
 
 @every_rate
 @every_car
-@pytest.mark.parametrize("v_x", [3.0, 9.0, 15.0, 27.0, 40.0])
+@pytest.mark.parametrize("v_x", [3.0, 15.0, 40.0])
 def test_a_faster_loop_is_stable_with_80_ms_of_unknown_delay(
     rate: int, car: str, v_x: float
 ) -> None:
