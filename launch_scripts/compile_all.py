@@ -1,4 +1,4 @@
-"""Compiles control tick and simulated car once, so that no first run has to wait for it."""
+"""Compile controllers and simulated car in advance, so that the first run need not wait."""
 
 import sys
 import time
@@ -12,7 +12,7 @@ from sim_vehicle.parameters import load_vehicle
 
 
 def main() -> int:
-    """Drive a moment with every controller; the machine code stays in the user's cache folder."""
+    """Drive a moment with every controller; the machine code is stored in the user's cache."""
     begin = time.monotonic()
     vehicle = load_vehicle(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)

@@ -1,4 +1,4 @@
-"""Generated cases of both ticks: as a script, in plain Python, for what the compiled ones must say.
+"""Generated cases of both ticks, run as a script without compilation for comparison.
 
 Usage: NUMBA_DISABLE_JIT=1 python -m tests.generated_ticks OUTPUT.npz
 """
@@ -27,7 +27,7 @@ CARS = [load_vehicle(find("vehicles", name)) for name in ("paper", "ordinary")]
 
 
 class Case(NamedTuple):
-    """One controller, its path, and the states that it answers."""
+    """One controller, its path, and the states that it results."""
 
     controller: LateralMpc | PreviewMpc
     path: Path
@@ -35,7 +35,7 @@ class Case(NamedTuple):
 
 
 def generated(seed: int) -> Case:
-    """Give a case: every option of car, settings, gains and path is drawn."""
+    """Return a case with random options of car, settings, gains and path."""
     rng = np.random.default_rng(seed)
     car, settings = CARS[seed // 2 % 2], drawn_settings(rng)
     table = drawn_table(rng)
@@ -100,23 +100,23 @@ def drawn_states(rng: np.random.Generator, path: Path, T: float) -> list[Vehicle
     return states
 
 
-def answers(case: Case) -> Array:
-    """Give all that the ticks of a case say and remember, (TICKS, WIDTH)."""
-    said = np.zeros((TICKS, WIDTH))
-    for row, state in zip(said, case.states, strict=True):
+def results(case: Case) -> Array:
+    """Return commands, diagnoses, memory and predictions of the ticks of a case, (TICKS, WIDTH)."""
+    rows = np.zeros((TICKS, WIDTH))
+    for row, state in zip(rows, case.states, strict=True):
         command = case.controller.step(state, case.path)
         points = np.zeros(0) if command.prediction is None else command.prediction.ravel()
         diagnosis = np.array(command.diagnosis, dtype=float)
         numbers = [command.steering, command.steering_rate, *diagnosis]
         everything = np.concatenate((numbers, case.controller.memory, points))
         row[: len(everything)] = everything
-    return said
+    return rows
 
 
-def all_answers() -> Array:
-    """Give those of all cases (CASES, TICKS, WIDTH)."""
-    return np.array([answers(generated(seed)) for seed in range(CASES)])
+def all_results() -> Array:
+    """Return the results of all cases (CASES, TICKS, WIDTH)."""
+    return np.array([results(generated(seed)) for seed in range(CASES)])
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[1], answers=all_answers())
+    np.savez(sys.argv[1], results=all_results())

@@ -1,4 +1,7 @@
-"""One decorator for every compiled function, and one safe place for the compiled code."""
+"""Decorators for compiled functions, and the folder of their machine code.
+
+The rules for compiled code, and their reasons, stand in ampc_ros/doc/compiled_code.md.
+"""
 
 import hashlib
 import importlib.util
@@ -17,12 +20,11 @@ import numba
 from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., Any])
-IN_PLACE: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
 PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
-KEPT = 3
-"""Versions whose compiled code is kept, this one included."""
+STORED_VERSIONS = 3
+"""Number of versions whose machine code is stored, including the current one."""
 IN_USE = 24 * 3600.0
-"""Compiled code that a process has asked for within this time is never removed [s]."""
+"""Machine code that a process has used within this time is never removed [s]."""
 
 
 def source_hash() -> str:
@@ -43,26 +45,26 @@ def source_hash() -> str:
 
 
 def cache_folder() -> Path:
-    """Make the folder of the compiled code, and give it.
+    """Create the folder of the machine code, and return it.
 
-    It lies in the user's cache, never in the package folder; where that cannot be written, in a
-    temporary folder, which one line on stderr says.
+    It lies in the user's cache, never in the package folder. If that is not writable, a temporary
+    folder is used and a warning is written to stderr.
     """
     version = source_hash()
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        return use(Path(base) / "ampc_ros", version)
+        return open_version(Path(base) / "ampc_ros", version)
     except (OSError, RuntimeError) as error:
-        folder = use(private_temporary_folder(), version)
-        print(f"warning: compiled code is kept in {folder}: {error}", file=sys.stderr, flush=True)
+        folder = open_version(private_temporary_folder(), version)
+        print(f"warning: compiled code is stored in {folder}: {error}", file=sys.stderr, flush=True)
         return folder
 
 
-def use(base: Path, version: str) -> Path:
-    """Make the folder of one version, note that it is in use, and remove old ones.
+def open_version(base: Path, version: str) -> Path:
+    """Create the folder of a version, mark it as in use, and remove old versions.
 
     Raises:
-        OSError: Nothing can be written there.
+        OSError: The folder is not writable.
     """
     folder = base / version
     is_new = not folder.exists()
@@ -75,20 +77,20 @@ def use(base: Path, version: str) -> Path:
 
 
 def remove_old_versions(base: Path) -> None:
-    """Keep the versions used last, and whatever was used within a day."""
+    """Remove all versions but the ones used last and those used within a day."""
     used: list[tuple[float, Path]] = []
     for folder in base.iterdir():
-        with suppress(OSError):  # another process removes them too
+        with suppress(OSError):  # another process may remove it at the same time
             used.append((folder.stat().st_mtime, folder))
-    for last_use, folder in sorted(used, reverse=True)[KEPT:]:
+    for last_use, folder in sorted(used, reverse=True)[STORED_VERSIONS:]:
         if time.time() - last_use > IN_USE:
             shutil.rmtree(folder, ignore_errors=True)
 
 
 def private_temporary_folder() -> Path:
-    """Give a temporary folder that is the same for all processes of a user, and no one else's.
+    """Return a temporary folder that all processes of this user share, and no other user.
 
-    Machine code is loaded from it: one that another user could write is not taken.
+    Machine code is loaded from it, so a folder that another user could write is not used.
     """
     folder = Path(tempfile.gettempdir()) / f"ampc_ros-{os.getuid()}"
     with suppress(FileExistsError):
@@ -104,56 +106,73 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 
 
 def compiled(function: F) -> F:
-    """Compile a numeric function at its first call, and keep the machine code on disk."""
+    """Compile a numeric function at its first call, and store the machine code on disk."""
     return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
-def in_place(function: F) -> F:
-    """Compile a numeric function that works in the arrays it is given, and allocates nothing.
+def compile_without_allocation(function: F, **options: Any) -> F:
+    """Compile a function without numba's memory management, so that it cannot create an array.
 
-    Compiled without numba's memory management, so a function that makes an array is refused at
-    its first call. It may give arrays inside of tuples to functions of its kind, never to Python.
+    Note:
+        `_nrt` is a private option of numba: this is the only place that uses it.
     """
-    return cast(F, numba.njit(cache=True, **IN_PLACE)(function))
+    njit: Any = numba.njit  # its type does not know the private option
+    return cast(F, njit(error_model="numpy", nogil=True, _nrt=False, **options)(function))
+
+
+def in_place(function: F) -> F:
+    """Compile a numeric function that works in the arrays it is given and allocates nothing.
+
+    A function that creates an array is rejected at its first call. Arrays may be passed inside
+    tuples to other functions of this kind, but not returned to Python.
+    """
+    return compile_without_allocation(function, cache=True)
 
 
 def inlined(function: F) -> F:
-    """As `in_place`, written into the body of each caller before that is compiled.
+    """Compile as `in_place`, but insert the source into the body of each caller.
 
-    For functions that take a dozen arrays or give one, for loops that are to become SIMD code,
-    which must not call, and for the links of a chain, so that each is not optimised anew.
+    Intended for functions with a dozen array arguments or an array as result, for loops that are to
+    become SIMD code, and for the links of a call chain, which are then optimised only once.
     """
-    return cast(F, numba.njit(inline="always", **IN_PLACE)(function))
-
-
-class Announcer(event.Listener):
-    """Says that something has to be compiled as soon as it is known."""
-
-    def __init__(self, what: str, say: Callable[[str], object]) -> None:
-        """Say nothing yet."""
-        self.what, self.say = what, say
-        self.begin: float | None = None
-
-    def on_start(self, _: Any) -> None:
-        """Say it once."""
-        if self.begin is None:
-            self.begin = time.monotonic()
-            self.say(f"compiling the {self.what} (once after an update, about 20 s) ...")
-
-    def on_end(self, _: Any) -> None:
-        """Wait for the rest."""
+    return compile_without_allocation(function, inline="always")
 
 
 @contextmanager
-def announced(what: str, say: Callable[[str], object]) -> Iterator[None]:
-    """Say that something is being compiled, and how long it took; nothing where nothing has to be.
+def on_compilation(callback: Callable[[], object]) -> Iterator[None]:
+    """Call back at the start of each compilation inside the block.
+
+    Note:
+        `numba.core.event` is a private interface of numba: this is the only place that uses it.
+    """
+
+    class Listener(event.Listener):
+        def on_start(self, _: Any) -> None:
+            callback()
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+@contextmanager
+def log_compilation(what: str, log: Callable[[str], object]) -> Iterator[None]:
+    """Log the start and the duration of a compilation inside the block; nothing if there is none.
 
     Args:
-        what: Is compiled, for the user.
-        say: Takes the lines.
+        what: Name of what is compiled, for the user.
+        log: Receives the lines.
     """
-    announcer = Announcer(what, say)
-    with event.install_listener("numba:compile", announcer):
+    begin: list[float] = []
+
+    def start() -> None:
+        if not begin:
+            begin.append(time.monotonic())
+            log(f"compiling the {what} (once after an update, about 20 s) ...")
+
+    with on_compilation(start):
         yield
-    if announcer.begin is not None:
-        say(f"compiled the {what} in {time.monotonic() - announcer.begin:.0f} s")
+    if begin:
+        log(f"compiled the {what} in {time.monotonic() - begin[0]:.0f} s")

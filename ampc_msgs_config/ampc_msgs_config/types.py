@@ -10,13 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
 
 
 QUATERNION_LENGTH = (0.9, 1.1)
 """Allowed length of a received quaternion, which is ideally 1."""
+
+Array = NDArray[np.float64]
+"""Array of real numbers; its shape is stated where it is used."""
 
 
 class VehicleState(NamedTuple):

@@ -17,7 +17,7 @@ from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import Checked
 from ampc_ros.mpc.internal_model import limits_of
 from ampc_ros.preview.model import angle_bound
-from ampc_ros.preview.programme import FRICTION_SHARE
+from ampc_ros.preview.qp_assembly import FRICTION_SHARE
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns
 from sim_vehicle.parameters import Vehicle

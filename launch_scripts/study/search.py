@@ -26,7 +26,7 @@ from launch_scripts.study.cases import (
     settings_of,
     single,
 )
-from launch_scripts.tuning.fleet_rows import Entry, drive_all
+from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle, load_vehicle
 
@@ -148,7 +148,7 @@ def fitness_of(fixed: bool, roads: Sequence[str], authors: Authors) -> Callable[
             with suppress(ValueError):
                 cars[k] = task.entries(gains_of(position))
         everybody = [entry for row in cars.values() for entry in row]
-        drives = iter(drive_all(everybody, 2, GIVEN_UP) if everybody else [])
+        drives = iter(drive_fleet(everybody, 2, GIVEN_UP) if everybody else [])
         for k, row in cars.items():
             result[k] = geometric_mean([judge(next(drives), entry) for entry in row])
         return result

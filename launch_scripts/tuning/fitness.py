@@ -1,7 +1,7 @@
-"""How good gains are at a node of the table: a whole generation is one compiled call.
+"""Fitness of gains at a node of the gain table: a whole generation is one compiled call.
 
-`fitness(node, gains)` is a pure function of what is pickled with ease: it may run in threads,
-processes or on another machine. What a node needs is prepared once in each of them.
+`fitness(node, gains)` is a pure function of values that can be pickled, so it may run in threads,
+processes or on another machine. The fleet of a node is prepared once in each process.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,10 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, GainTable
-from ampc_ros.mpc.internal_model import believed as belief_of
-from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
+from ampc_ros.mpc.internal_model import unpack_internal_model
+from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.paper.controller import LateralMpc
+from ampc_ros.paper.qp_assembly import check_conditioning
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.drives import (
     JUDGED_FROM,
@@ -27,22 +28,30 @@ from launch_scripts.tuning.drives import (
     real,
     step_to,
 )
-from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Fleet
-from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare, run
+from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING
+from launch_scripts.tuning.fleet_rows import (
+    Entry,
+    FleetRun,
+    map_rows,
+    prepare_fleet,
+    run_fleet,
+)
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle
 
 SETTINGS = "table3"
-"""Shipped limits under which gains are tuned."""
-LOST = {"paper": 50.0, "robust": 10.0}
-"""Cross-track error beyond which a drive has failed [m]; steps to 15 m overshoot."""
+"""Shipped controller settings with which gains are tuned."""
+LOST_ERROR = {"paper": 50.0, "robust": 10.0}
+"""Cross-track error beyond which a drive has failed, by kind of fitness [m].
+
+The larger one leaves room for the overshoot of steps to 15 m."""
 INCREMENT_WEIGHT = 1.0
-"""Weight of the mean squared increment, as the way v T Delta u by which it moves the front wheels
-sideways within a tick [m^2]."""
+"""Weight of the mean squared increment. The increment is measured as the lateral displacement
+v T Delta u of the front wheels in a tick [m]."""
 NEGLIGIBLE = 0.005
-"""Error that is good enough: below it a drive gains little [m]."""
+"""Error below which a further reduction hardly improves the fitness [m]."""
 GENTLE = Gains(25, 20, 6, 0.3, 10.0, 100.0)
-"""Any gains, of which a controller is made before it gets those of a particle."""
+"""Placeholder gains of a controller before it receives those of a particle."""
 FITNESS = {
     "paper": "mean squared error [m^2] of a step to the node's lateral reference, 10 s",
     "robust": "geometric mean of average and worst, over drives on a lane change and of joining a "
@@ -52,7 +61,7 @@ FITNESS = {
 
 
 class Node(NamedTuple):
-    """A place in the table, and how gains are judged there."""
+    """Node of a gain table, and the kind of fitness."""
 
     vehicle: Vehicle
     formulation: str
@@ -66,59 +75,59 @@ class Node(NamedTuple):
 
 
 def fitness(node: Node, gains: Sequence[Gains] | Array) -> Array:
-    """Judge sets of gains.
+    """Compute the fitness of gain sets.
 
     Args:
-        node: Where, and how.
-        gains: (n, 6), a set in each row.
+        node: Node and kind of fitness.
+        gains: (n, 6), one set per row.
 
     Returns:
-        (n,) smaller is better; infinite where the car is lost, or a programme could not be solved.
+        (n,) smaller is better; infinite if a car is lost or a QP could not be solved.
     """
     rows = np.asarray(gains, dtype=float)
-    sound = np.array([is_sound(node, row) for row in rows])
+    accepted = np.array([is_accepted(node, row) for row in rows])
     result = np.full(len(rows), np.inf)
-    if sound.any():
-        result[sound] = judged(node, drives(node, rows[sound]))
+    if accepted.any():
+        result[accepted] = fitness_of_log(node, drive_gain_sets(node, rows[accepted]))
     return result
 
 
-def is_sound(node: Node, row: Array) -> bool:
-    """Whether the controller would take these gains (6,)."""
+def is_accepted(node: Node, row: Array) -> bool:
+    """Return whether the controller accepts these gains (6,)."""
     if node.formulation != "paper":
         return True
-    belief = belief_of(prepared(node).fleet.numbers[0])
+    model = unpack_internal_model(prepared(node).fleet.model[0])
     try:
-        check_conditioning(belief.vehicle, gains_of_row(row), belief.limits)
+        check_conditioning(model.vehicle, gains_of_row(row), model.limits)
     except ValueError:
         return False
     return True
 
 
 def gains_of_row(row: Array) -> Gains:
-    """Read a row of numbers (6,)."""
+    """Return the gains in a row of numbers (6,)."""
     return Gains(int(row[0]), int(row[1]), int(row[2]), *map(float, row[3:]))
 
 
-def drives(node: Node, rows: Array) -> Array:
-    """Drive all cars of a node with each set of gains (n, 6): the log (n, cars, ticks, LOGGED)."""
-    expedition = prepared(node)
-    log = run(repeat_for_gain_sets(expedition, rows))
-    return log.reshape(len(rows), len(expedition.fleet.road), *log.shape[1:])
+def drive_gain_sets(node: Node, rows: Array) -> Array:
+    """Drive all cars of a node with each gain set (n, 6); return (n, cars, ticks, LOGGED)."""
+    fleet_run = prepared(node)
+    log = run_fleet(repeat_for_gain_sets(fleet_run, rows))
+    return log.reshape(len(rows), len(fleet_run.fleet.road), *log.shape[1:])
 
 
-def repeat_for_gain_sets(expedition: FleetRun, rows: Array) -> FleetRun:
-    """Give the cars of an expedition once for each set of gains (n, 6)."""
-    fleet, n = expedition.fleet, len(rows)
-    many = {name: np.concatenate([getattr(fleet, name)] * n) for name in Fleet._fields[:-2]}
-    many["nodes"] = np.repeat(rows, len(fleet.road), axis=0)[:, None, :]
-    ticks = int(fleet.numbers[:, 15].max())
+def repeat_for_gain_sets(fleet_run: FleetRun, rows: Array) -> FleetRun:
+    """Return a fleet in which all cars are repeated for each gain set (n, 6)."""
+    cars, n = len(fleet_run.fleet.road), len(rows)
+    fleet = map_rows(fleet_run.fleet, lambda array: np.concatenate([array] * n))
+    fleet = fleet._replace(nodes=np.repeat(rows, cars, axis=0)[:, None, :])
+    ticks = max(unpack_internal_model(row).actuator.ticks for row in fleet_run.fleet.model)
     sizes = [scratch_numbers(int(N_p) + ticks, int(N_c), int(N)) for N_p, N_c, N in rows[:, :3]]
-    return expedition._replace(fleet=fleet._replace(**many), scratch_size=max(sizes))
+    return fleet_run._replace(fleet=fleet, scratch_size=max(sizes))
 
 
-def judged(node: Node, log: Array) -> Array:
-    """Read the fitness (n,) off the log (n, cars, ticks, LOGGED); not finite where a car failed."""
+def fitness_of_log(node: Node, log: Array) -> Array:
+    """Return the fitness (n,) of a log (n, cars, ticks, LOGGED); infinite if a car failed."""
     error, steering = log[..., CROSS_TRACK_ERROR], log[..., STEERING]
     failed = (~(log[..., CONVERGED] > 0.0)).any(axis=(1, 2))
     if node.kind == "paper":
@@ -134,11 +143,11 @@ def judged(node: Node, log: Array) -> Array:
 
 
 def combined(cost: Array) -> Array:
-    """Give the geometric mean of average and worst of the drives (n, cars): (n,).
+    """Return the geometric mean (n,) of average and worst cost of the drives (n, cars).
 
     Note:
-        The average is geometric, too: half the error on a dry road counts as much as half the
-        (far larger) error with a delay that nobody told the controller of.
+        The average is geometric as well: halving the error on a dry road counts as much as halving
+        the much larger error with a delay that is unknown to the controller.
     """
     average = np.exp(np.log(cost).mean(axis=1))
     return np.asarray(np.sqrt(average * cost.max(axis=1)))
@@ -146,15 +155,14 @@ def combined(cost: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def prepared(node: Node) -> FleetRun:
-    """Lay out the cars and roads of a node; they stay as they are."""
+    """Return the fleet of a node, which is prepared once and never changed."""
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)
-        return prepare(
-            [_entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))], LOST[node.kind]
-        )
+        entry = _entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))
+        return prepare_fleet([entry], LOST_ERROR[node.kind])
     roads = {name: road(node.speed) for name, road in ROADS.items()}
     cars = [(plant, real(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
-    return prepare([_entry(node, *car) for car in cars], LOST[node.kind])
+    return prepare_fleet([_entry(node, *car) for car in cars], LOST_ERROR[node.kind])
 
 
 def _entry(node: Node, plant: Plant, simulation: Simulation) -> Entry:

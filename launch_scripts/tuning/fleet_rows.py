@@ -1,16 +1,16 @@
-"""From simulations and controllers to the matrices of a fleet, and from its log to drives."""
+"""Convert simulations and controllers to the matrices of a fleet, and its log to drives."""
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.compiled import announced
+from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import NOT_CAUGHT
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame
@@ -24,57 +24,63 @@ from launch_scripts.tuning.fleet import (
     STATE,
     STEERING,
     Fleet,
-    FleetTiming,
+    FleetContext,
     Integers,
     Roads,
     drive_paper,
     drive_preview,
 )
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import MeasurementNoise, flat_numbers
+from sim_vehicle.measurement import Deviations
+from sim_vehicle.parameters import MeasurementNoise
 from sim_vehicle.vehicle import WORK_SIZE
+from sim_vehicle.vehicle_row import pack_vehicle
 
 
 class Entry(NamedTuple):
-    """One car of a fleet."""
+    """One car of a fleet with its controller."""
 
     simulation: Simulation
-    """At its start."""
+    """Car at the start of its scenario."""
     controller: PreviewMpc | LateralMpc
-    """As new."""
+    """Controller before its first step."""
     misalignment: float = 0.0
-    """Angle at which the wheels stand when straight ahead is commanded [rad]."""
+    """Road-wheel angle when straight ahead is commanded [rad]."""
 
 
 class FleetRun(NamedTuple):
-    """A fleet with its roads: all that a drive needs."""
+    """Fleet with its roads, complete enough to drive it repeatedly."""
 
     roads: Roads
     fleet: Fleet
+    speeds: Array
+    """(a,) speeds of the gain tables [m/s]."""
+    references: Array
+    """(b,) lateral references of the gain tables [m]."""
     period_ns: int
     step_ns: int
     scratch_size: int
     preview: bool
-    """Whether the controllers are of the `preview` formulation."""
+    """Whether the controllers use the `preview` formulation."""
 
 
-def drive_all(entries: Sequence[Entry], threads: int = 1, lost: float = math.inf) -> list[Drive]:
-    """Drive all cars; the same as `closed_loop.drive` for each of them.
+def drive_fleet(entries: Sequence[Entry], threads: int = 1, lost: float = math.inf) -> list[Drive]:
+    """Drive all cars; the result is that of `closed_loop.drive` for each of them.
 
     Args:
-        entries: Cars with controllers of one kind, period and grid of gains, and one step.
-        threads: In which the fleet is driven, in equal parts.
+        entries: Cars with controllers of the same formulation, period, gain grid and step.
+        threads: Number of threads that drive equal parts of the fleet.
         lost: Cross-track error beyond which a drive ends [m].
 
     Raises:
-        ValueError: A controller cannot take its path.
+        ValueError: A controller cannot follow its path.
     """
-    expedition = prepare(entries, lost)
-    return [drive_of(log, expedition.period_ns) for log in run(expedition, threads)]
+    fleet_run = prepare_fleet(entries, lost)
+    return [drive_of_log(log, fleet_run.period_ns) for log in run_fleet(fleet_run, threads)]
 
 
-def prepare(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
-    """Lay cars, controllers and roads out in matrices; see `drive_all`."""
+def prepare_fleet(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
+    """Arrange cars, controllers and roads in matrices; see `drive_fleet`."""
     first = entries[0]
     preview, period = isinstance(first.controller, PreviewMpc), first.controller.period
     period_ns, step_ns = round(period * NANOSECONDS), first.simulation.step_ns
@@ -82,32 +88,34 @@ def prepare(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
         same = isinstance(entry.controller, PreviewMpc) == preview
         same &= entry.controller.period == period and entry.simulation.step_ns == step_ns
         if not same:
-            raise ValueError("fleet: controllers of one kind and period, and one step, are needed")
+            raise ValueError("fleet: controllers must have the same formulation, period and step")
         for one, other in zip(entry.controller.table[:2], first.controller.table[:2], strict=True):
             if not np.array_equal(one, other):
-                raise ValueError(f"fleet: one grid of gains is needed, not {one} and {other}")
+                raise ValueError(f"fleet: gain grids must be the same, not {one} and {other}")
     scenarios = list({id(entry.simulation.scenario): entry for entry in entries}.values())
-    roads = lay_roads([e.simulation.scenario for e in scenarios], step_ns, period_ns, not preview)
-    places = {id(entry.simulation.scenario): k for k, entry in enumerate(scenarios)}
-    road: Integers = np.array([places[id(entry.simulation.scenario)] for entry in entries])
-    fleet = line_up(entries, road, period_ns, lost)
-    size = max(len(entry.controller.scratch.numbers) for entry in entries)
-    return FleetRun(roads, fleet, period_ns, step_ns, size, preview)
+    roads = pack_roads([e.simulation.scenario for e in scenarios], step_ns, period_ns, not preview)
+    positions = {id(entry.simulation.scenario): k for k, entry in enumerate(scenarios)}
+    road: Integers = np.array([positions[id(entry.simulation.scenario)] for entry in entries])
+    return FleetRun(
+        roads=roads,
+        fleet=pack_fleet(entries, road, period_ns, lost),
+        speeds=first.controller.table.speeds,
+        references=first.controller.table.references,
+        period_ns=period_ns,
+        step_ns=step_ns,
+        scratch_size=max(len(entry.controller.scratch.numbers) for entry in entries),
+        preview=preview,
+    )
 
 
-def ticks_of(scenario: Scenario, period_ns: int) -> int:
-    """Number of control periods in a drive."""
-    return -(-round(scenario.duration * NANOSECONDS) // period_ns)
-
-
-def lay_roads(scenarios: Sequence[Scenario], step_ns: int, period_ns: int, framed: bool) -> Roads:
-    """Put drives one after the other.
+def pack_roads(scenarios: Sequence[Scenario], step_ns: int, period_ns: int, framed: bool) -> Roads:
+    """Concatenate the roads of several drives.
 
     Args:
         scenarios: The drives.
-        step_ns: Of the integration [ns].
-        period_ns: Of the controllers [ns].
-        framed: Whether the paths are needed in their inertial frames too.
+        step_ns: Integration step [ns].
+        period_ns: Period of the controllers [ns].
+        framed: Whether the paths are needed in their inertial frames as well.
 
     Raises:
         ValueError: A path is no graph over its chord, but is needed as one.
@@ -131,87 +139,87 @@ def lay_roads(scenarios: Sequence[Scenario], step_ns: int, period_ns: int, frame
 
 
 def starts(lengths: Sequence[int]) -> Integers:
-    """Where each of several pieces begins, and where the last one ends."""
+    """Return the start of each of several concatenated pieces, and the end of the last."""
     return np.append(0, np.cumsum(lengths)).astype(np.int64)
 
 
-def line_up(
-    entries: Sequence[Entry],
-    road: Integers,
-    period_ns: int,
-    lost: float,
-) -> Fleet:
-    """Put cars and controllers into rows; the memory and the noise are drawn from them."""
+def pack_fleet(entries: Sequence[Entry], road: Integers, period_ns: int, lost: float) -> Fleet:
+    """Return the rows of cars and controllers; the measurement noise is drawn here."""
     cars = [entry.simulation.car for entry in entries]
     controllers = [entry.controller for entry in entries]
-    ticks = np.array([ticks_of(e.simulation.scenario, period_ns) for e in entries])
+    durations = [entry.simulation.scenario.duration for entry in entries]
+    ticks = np.array([-(-round(each * NANOSECONDS) // period_ns) for each in durations])
     noises = [car.noise or MeasurementNoise() for car in cars]
     most = int(ticks.max()) if any(car.noise for car in cars) else 0
-    tables = [controller.table for controller in controllers]
+    normal = [
+        car.rng.standard_normal((most, 6)) if car.rng else np.zeros((most, 6)) for car in cars
+    ]
     return Fleet(
         road=road,
         ticks=ticks,
-        plant=np.array([flat_numbers(entry.simulation.vehicle) for entry in entries]),
+        plant=np.array([pack_vehicle(entry.simulation.vehicle) for entry in entries]),
         state=np.array([car.state for car in cars]),
         waiting=padded([car.waiting for car in cars]),
         delay=np.array([len(car.waiting) for car in cars]),
-        conditions=np.array(
-            [(car.friction, e.misalignment, lost) for car, e in zip(cars, entries, strict=True)]
-        ),
-        noise=np.array([astuple(noise) for noise in noises]),
-        normal=np.array(
-            [car.rng.standard_normal((most, 6)) if car.rng else np.zeros((most, 6)) for car in cars]
-        ),
-        numbers=np.array([controller.numbers for controller in controllers]),
+        friction=np.array([car.friction for car in cars]),
+        misalignment=np.array([entry.misalignment for entry in entries]),
+        lost=np.full(len(entries), lost),
+        noise=np.array([Deviations(*astuple(noise)) for noise in noises]),
+        normal=np.array(normal),
+        model=np.array([controller.model_row for controller in controllers]),
         memory=padded([controller.memory for controller in controllers]),
-        nodes=np.array([table.nodes for table in tables]),
-        speeds=tables[0].speeds,
-        references=tables[0].references,
+        nodes=np.array([controller.table.nodes for controller in controllers]),
     )
 
 
 def padded(rows: Sequence[Array]) -> Array:
-    """Rows of several lengths as a matrix, zeros after their ends."""
+    """Return rows of different lengths as a matrix, padded with zeros."""
     matrix = np.zeros((len(rows), max(map(len, rows))))
     for target, row in zip(matrix, rows, strict=True):
         target[: len(row)] = row
     return matrix
 
 
-def run(expedition: FleetRun, threads: int = 1) -> Array:
-    """Drive a fleet; its own matrices stay as they are.
+def map_rows(fleet: Fleet, change: Callable[[Any], Any]) -> Fleet:
+    """Return a fleet whose arrays have all been changed by the same function."""
+    return Fleet._make(map(change, fleet))
+
+
+def run_fleet(fleet_run: FleetRun, threads: int = 1) -> Array:
+    """Drive a fleet; its own matrices are not changed.
 
     Returns:
-        What happened, (n, most ticks, LOGGED); see `fleet`. Nan after the end of a drive.
+        Log (n, most ticks, LOGGED), see `fleet`; nan after the end of a drive.
     """
-    fleet = expedition.fleet
+    fleet = fleet_run.fleet
     log = np.full((len(fleet.road), int(fleet.ticks.max()), LOGGED), np.nan)
     parts = [part for part in np.array_split(np.arange(len(log)), threads) if len(part)]
-    say = partial(print, file=sys.stderr, flush=True)
-    with ThreadPoolExecutor(threads) as pool, announced("fleet of cars", say):
+    print_line = partial(print, file=sys.stderr, flush=True)
+    with ThreadPoolExecutor(threads) as pool, log_compilation("fleet of cars", print_line):
         slices = [slice(part[0], part[-1] + 1) for part in parts]
-        list(pool.map(lambda rows: run_part(expedition, rows, log[rows]), slices))
+        list(pool.map(lambda rows: run_part(fleet_run, rows, log[rows]), slices))
     return log
 
 
-def run_part(expedition: FleetRun, rows: slice, log: Array) -> None:
-    """Drive some rows of a fleet, on copies of what changes."""
-    fleet = expedition.fleet
-    own = {name: getattr(fleet, name)[rows].copy() for name in Fleet._fields[:-2]}
-    clock = FleetTiming(
-        expedition.period_ns,
-        expedition.step_ns,
-        make_scratch(expedition.scratch_size),
-        np.zeros(WORK_SIZE),
-        np.full(len(log), NOT_CAUGHT),
-        np.zeros((0, 3)),
+def run_part(fleet_run: FleetRun, rows: slice, log: Array) -> None:
+    """Drive some rows of a fleet, on copies of the arrays."""
+    context = FleetContext(
+        period_ns=fleet_run.period_ns,
+        step_ns=fleet_run.step_ns,
+        speeds=fleet_run.speeds,
+        references=fleet_run.references,
+        scratch=make_scratch(fleet_run.scratch_size),
+        work=np.zeros(WORK_SIZE),
+        places=np.full(len(log), NOT_CAUGHT),
+        predicted=np.zeros((0, 3)),
     )
-    drive = drive_preview if expedition.preview else drive_paper
-    drive(expedition.roads, fleet._replace(**own), log, clock)
+    own = map_rows(fleet_run.fleet, lambda array: array[rows].copy())
+    drive_fleet_part = drive_preview if fleet_run.preview else drive_paper
+    drive_fleet_part(fleet_run.roads, own, log, context)
 
 
-def drive_of(log: Array, period_ns: int, start_ns: int = NANOSECONDS) -> Drive:
-    """Read one car's log (most ticks, LOGGED)."""
+def drive_of_log(log: Array, period_ns: int, start_ns: int = NANOSECONDS) -> Drive:
+    """Return the drive in the log (most ticks, LOGGED) of one car."""
     driven = log[~np.isnan(log[:, STATE])]
     states = [
         VehicleState(start_ns + tick * period_ns, *row)

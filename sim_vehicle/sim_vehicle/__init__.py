@@ -1,3 +1,3 @@
-"""What the car really does: tyres, masses, air, actuators and a driver, with or without ROS."""
+"""Simulated car: tyres, dynamics, aerodynamics, actuators and driver, with or without ROS."""
 
 import ampc_msgs_config  # noqa: F401 - sets one BLAS thread before numpy is imported

@@ -2,22 +2,18 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.types import Array
 
 
 @inlined
-def command_in_force(
-    waiting: NDArray[np.float64], command: float, steps_since_command: int
-) -> float:
-    """Give the angle that has passed the pure delay [rad].
+def delayed_command(waiting: Array, command: float, steps_since_command: int) -> float:
+    """Return the command after the pure delay [rad].
 
     Args:
-        waiting: (D,) angles of the last D integration steps, oldest first [rad]; the delay is D
-            steps, so it is quantised to the step.
-        command: The newest angle, given at step 0 [rad].
+        waiting: (D,) commands of the last D integration steps, oldest first [rad]; the delay is D
+            steps, so it is rounded to the step.
+        command: The newest command, issued at step 0 [rad].
         steps_since_command: Number of the integration step.
     """
     if steps_since_command < len(waiting):
@@ -26,30 +22,30 @@ def command_in_force(
 
 
 @inlined
-def queue_up(waiting: NDArray[np.float64], command: float, steps: int) -> None:
-    """Let `steps` integration steps with one command pass through the queue, in place."""
+def shift_queue(waiting: Array, command: float, steps: int) -> None:
+    """Advance the queue of the delay in place by `steps` integration steps with one command."""
     delay = len(waiting)
     for i in range(delay):
         waiting[i] = waiting[i + steps] if i + steps < delay else command
 
 
 @in_place
-def approach(step: float, steering: tuple[float, ...]) -> float:
-    """Give the share of the way to its target that the lagging angle goes in one step, exactly."""
+def lag_share(step: float, steering: tuple[float, ...]) -> float:
+    """Return 1 - exp(-step / lag): the share of the distance to its target covered in one step."""
     _, _, lag, _ = steering
     return 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
 
 
 @inlined
-def turned(
+def next_angle(
     angle: float, command: float, share: float, step: float, steering: tuple[float, ...]
 ) -> float:
-    """Give the road-wheel angle one step later [rad].
+    """Return the road-wheel angle one step later [rad].
 
     Args:
         angle: Road-wheel angle now [rad].
-        command: Angle asked for during the whole step [rad].
-        share: `approach` of the step.
+        command: Demanded angle during the whole step [rad].
+        share: `lag_share` of the step.
         step: Duration [s].
         steering: `astuple` of SteeringParameters.
     """

@@ -1,4 +1,4 @@
-"""Forces of the air on the car."""
+"""Aerodynamic forces on the car."""
 
 from ampc_msgs_config.compiled import inlined
 
@@ -10,14 +10,14 @@ def air_forces(
     wind: tuple[float, float],
     air: tuple[float, ...],
 ) -> tuple[float, float, float]:
-    """Give drag, side force [N] and yaw moment [N m] in the body frame.
+    """Return drag, side force [N] and yaw moment [N m] in the body frame.
 
-    Each force is 1/2 rho A w |w| with its own component w of the air's velocity past the car: odd
-    in the wind, and 0 at rest in still air. The air changes no wheel load.
+    Each force is 1/2 rho A w |w| with the corresponding component w of the relative air velocity.
+    It is odd in the wind, and 0 at rest in still air. Wheel loads are not affected.
 
     Args:
-        velocity: Of the car in the body frame [m/s].
-        heading: Cosine and sine of the yaw.
+        velocity: Velocity of the car in the body frame [m/s].
+        heading: Cosine and sine of the yaw angle.
         wind: Velocity of the air in `map` [m/s].
         air: `astuple` of AerodynamicsParameters.
     """

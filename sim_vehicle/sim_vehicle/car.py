@@ -7,8 +7,9 @@ import numpy as np
 from ampc_msgs_config.types import Array, VehicleState
 from ampc_msgs_config.validation import check_range, number
 from sim_vehicle.measurement import Deviations, measured, noisy
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, numbers
-from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, drive
+from sim_vehicle.parameters import MeasurementNoise, Vehicle
+from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, drive_steps
+from sim_vehicle.vehicle_row import vehicle_numbers
 
 RANGES = {
     "x": number(-1.0e9, 1.0e9, "m"),
@@ -24,11 +25,11 @@ RANGES = {
 
 
 class Car:
-    """The simulated car with its steering actuator and its driver.
+    """Simulated car with steering actuator and driver.
 
     Attributes:
-        state: (SIZE,) row of numbers as `vehicle.py` describes it.
-        friction: Coefficient mu in use; may be changed on the way.
+        state: (SIZE,) state, see `vehicle.py`.
+        friction: Coefficient mu; may be changed during the drive.
     """
 
     def __init__(
@@ -42,16 +43,16 @@ class Car:
         noise: MeasurementNoise | None = None,
         rng: np.random.Generator | None = None,
     ) -> None:
-        """Place a car that rolls straight ahead.
+        """Create a car that rolls straight ahead.
 
         Args:
-            vehicle: Its parameters.
+            vehicle: Parameters.
             start: x and y of the CENTRE OF GRAVITY [m] and yaw [rad] in `map`.
-            speed: Forwards [m/s].
-            friction: Coefficient mu in place of the tyre's own.
-            step: Of the integration [s]; the steering delay is rounded to a multiple of it.
-            noise: On what `measure` gives.
-            rng: Source of the noise.
+            speed: Longitudinal speed [m/s].
+            friction: Coefficient mu; by default that of the tyres.
+            step: Integration step [s]; the steering delay is rounded to a multiple of it.
+            noise: Noise of `measure`.
+            rng: Random numbers of the noise.
 
         Raises:
             ValueError: Names the argument, its value and its bound.
@@ -64,21 +65,22 @@ class Car:
         self.state: Array = np.zeros(SIZE)
         self.state[: V_X + 1] = x, y, yaw, speed
         self.waiting: Array = np.zeros(round(vehicle.steering.delay / step))
-        self._numbers, self._step, self._work = numbers(vehicle), step, np.empty(WORK_SIZE)
+        self._numbers, self._step = vehicle_numbers(vehicle), step
+        self._work = np.empty(WORK_SIZE)
         self._to_rear_axle = -vehicle.chassis.cg_to_rear_axle
         self.noise, self.rng = noise, rng
 
     @property
     def steering(self) -> float:
-        """Real road-wheel angle [rad]."""
+        """Road-wheel angle [rad]."""
         return float(self.state[STEERING])
 
     def advance(self, steering: float, target_speed: float, wind: Array) -> None:
-        """Drive one control period: one integration step for each sample of the wind.
+        """Integrate one control period: one step for each sample of the wind.
 
         Args:
             steering: Commanded road-wheel angle [rad].
-            target_speed: For the driver [m/s].
+            target_speed: Target speed of the driver [m/s].
             wind: (n, 2) velocity of the air in `map` [m/s].
 
         Raises:
@@ -89,8 +91,8 @@ class Car:
         _check(steering=steering, target_speed=target_speed)
         _check(wind=float(wind.max()))
         _check(wind=float(wind.min()))
-        self.state = self.state.copy()  # who holds the old one keeps it
-        drive(
+        self.state = self.state.copy()  # references to the old state stay valid
+        drive_steps(
             self.state,
             self.waiting,
             steering,
@@ -105,7 +107,7 @@ class Car:
         )
 
     def measure(self, stamp_ns: int) -> VehicleState:
-        """Give the motion at `base_link`, the centre of the rear axle, with noise if asked for."""
+        """Return the measured motion of `base_link`, the centre of the rear axle."""
         exact = measured(self.state, self._to_rear_axle, stamp_ns)
         if self.noise is None or self.rng is None:
             return exact

@@ -1,4 +1,4 @@
-"""One drive: the simulated car in its scenario, and the offline loop around it."""
+"""Simulation of a car in its scenario, and the offline closed loop."""
 
 import time
 from typing import Any, Protocol
@@ -15,32 +15,32 @@ from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
 
 STEP_NS = 5_000_000
-"""Default step of the integration [ns]."""
+"""Default integration step [ns]."""
 
 
 class Steering(Protocol):
-    """What steers the car: a controller, seen from here."""
+    """Interface of a controller that steers the car."""
 
     @property
     def period(self) -> float:
         """Time from one step to the next [s]."""
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer a state at `base_link`."""
+        """Return the command for a state at `base_link`."""
 
 
 class Simulation:
-    """A car on its way through a scenario. Time is counted in nanoseconds, so it never drifts."""
+    """Car that drives through a scenario; its time is an integer [ns], which does not drift."""
 
     def __init__(
         self, vehicle: Vehicle, scenario: Scenario, step_ns: int = STEP_NS, **options: Any
     ) -> None:
-        """Place the car at the scenario's start, at the speed that it asks for there.
+        """Place the car at the start of the scenario, at the target speed there.
 
         Args:
             vehicle: The car.
             scenario: Path, speed profile and wind.
-            step_ns: Of the integration [ns].
+            step_ns: Integration step [ns].
             options: Friction, noise and rng of the `Car`.
         """
         speed = speed_at(scenario.speed, 0.0)
@@ -50,16 +50,16 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
-        """Whether the scenario's duration is over."""
+        """Whether the duration of the scenario has elapsed."""
         return self.elapsed_ns >= round(self.scenario.duration * NANOSECONDS)
 
     def wind(self) -> tuple[float, float]:
-        """Give the wind in `map` now [m/s]."""
+        """Return the present wind in `map` [m/s]."""
         x, y = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, 1)[0]
         return float(x), float(y)
 
     def advance(self, steering: float, target_speed: float, period_ns: int) -> None:
-        """Drive on for a time that is a multiple of the step [ns], under a steering angle [rad]."""
+        """Integrate a multiple of the step [ns] with a steering command [rad]."""
         steps = round(period_ns / self.step_ns)
         wind = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, steps)
         self.car.advance(steering, target_speed, wind)
@@ -67,15 +67,15 @@ class Simulation:
 
 
 def drive(simulation: Simulation, controller: Steering, start_ns: int = NANOSECONDS) -> Drive:
-    """Drive a scenario to its end, in lock-step: state, target speed, command, motion.
+    """Drive a scenario to its end in lock-step: state, target speed, command, motion.
 
     Args:
-        simulation: A car at its start.
-        controller: What steers it.
+        simulation: Car at its start.
+        controller: Controller of the steering.
         start_ns: Stamp of the first state [ns].
 
     Returns:
-        What the controller saw and did; the same as the ROS nodes in lock-step, bit for bit.
+        States and commands, bit for bit those of the ROS nodes in lock-step.
     """
     path = simulation.scenario.path
     planner = SpeedPlanner(simulation.scenario)

@@ -1,22 +1,17 @@
 """Parameters of the simulated car: vehicle file, measurement noise, and their rows of numbers."""
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import numpy as np
-
-from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.config import load
 from ampc_msgs_config.parameters import (
-    GRAVITY,
     ChassisParameters,
     SizeParameters,
     SteeringParameters,
 )
 from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
-from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import Checked, choice, number
 
 
@@ -106,19 +101,6 @@ class Vehicle(NamedTuple):
     powertrain: PowertrainParameters
 
 
-class Numbers(NamedTuple):
-    """Vehicle for compiled code: each section in the order of its fields."""
-
-    chassis: tuple[float, ...]
-    steering: tuple[float, ...]
-    body: tuple[float, ...]
-    front_tyre: tuple[float, ...]
-    """(magic, C, E, k_D, p, sigma, T_d, C_alpha, F_z0) of one tyre of the axle."""
-    rear_tyre: tuple[float, ...]
-    air: tuple[float, ...]
-    powertrain: tuple[float, ...]
-
-
 def load_vehicle(file: Path) -> Vehicle:
     """Load a vehicle file.
 
@@ -126,58 +108,3 @@ def load_vehicle(file: Path) -> Vehicle:
         ValueError: File, key, value and bound.
     """
     return load(Vehicle, file)
-
-
-def numbers(vehicle: Vehicle) -> Numbers:
-    """Return a vehicle as the argument of compiled code."""
-    chassis = vehicle.chassis
-    axle_load = 0.5 * chassis.mass * GRAVITY / chassis.wheelbase  # per tyre and metre of lever
-    front_load, rear_load = (
-        axle_load * chassis.cg_to_rear_axle,
-        axle_load * chassis.cg_to_front_axle,
-    )
-    return Numbers(
-        chassis=astuple(chassis),
-        steering=astuple(vehicle.steering),
-        body=astuple(vehicle.body),
-        front_tyre=_tyre(vehicle.tyre, chassis.front_cornering_stiffness, front_load),
-        rear_tyre=_tyre(vehicle.tyre, chassis.rear_cornering_stiffness, rear_load),
-        air=astuple(vehicle.aerodynamics),
-        powertrain=astuple(vehicle.powertrain),
-    )
-
-
-def flat_numbers(vehicle: Vehicle) -> Array:
-    """Return `numbers` as one row, section after section, so that a swarm of cars is a matrix."""
-    return np.array([number for section in numbers(vehicle) for number in section])
-
-
-@in_place
-def numbers_of(row: Array) -> Numbers:
-    """Return the numbers of a car from its row of `flat_numbers`."""
-    return Numbers(
-        chassis=(row[0], row[1], row[2], row[3], row[4], row[5]),
-        steering=_four(row, 6),
-        body=_four(row, 10),
-        front_tyre=_nine(row, 14),
-        rear_tyre=_nine(row, 23),
-        air=_four(row, 32),
-        powertrain=(row[36], row[37], row[38], row[39], row[40], row[41], row[42]),
-    )
-
-
-@inlined
-def _four(row: Array, i: int) -> tuple[float, ...]:
-    return row[i], row[i + 1], row[i + 2], row[i + 3]
-
-
-@inlined
-def _nine(row: Array, i: int) -> tuple[float, ...]:
-    a, b, c, d = _four(row, i)
-    e, f, g, h = _four(row, i + 4)
-    return a, b, c, d, e, f, g, h, row[i + 8]
-
-
-def _tyre(tyre: TyreParameters, stiffness: float, static_load: float) -> tuple[float, ...]:
-    model, _, *shape = astuple(tyre)
-    return (float(model == "pacejka"), *shape, stiffness, static_load)

@@ -1,46 +1,51 @@
-"""The car that really drives: dual track, free to move along, sideways and in yaw.
+"""Dual-track vehicle model with longitudinal, lateral and yaw motion.
 
-`state` is a row of `SIZE` numbers, so that a swarm of cars is a matrix. Wheels are numbered front
+`state` is a row of `SIZE` numbers, so that a fleet of cars is a matrix. Wheels are numbered front
 left, front right, rear left, rear right. Position and velocity are those of the centre of gravity.
 """
 
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.types import Array
-from sim_vehicle.actuator import approach, command_in_force, queue_up, turned
+from sim_vehicle.actuator import (
+    delayed_command,
+    lag_share,
+    next_angle,
+    shift_queue,
+)
 from sim_vehicle.aerodynamics import air_forces
-from sim_vehicle.driver import FEELING_LAG, pedals, rolling_resistance, stands
+from sim_vehicle.driver import CORNERING_LAG, pedal_forces, rolling_resistance, stands
 from sim_vehicle.elementary import sine_and_cosine
-from sim_vehicle.parameters import Numbers
+from sim_vehicle.vehicle_row import VehicleNumbers
 from sim_vehicle.wheels import (
     LANES,
     S_RATE,
     S_TOTAL,
     WHEELS,
     S,
-    fit_wheels,
-    steer,
-    turn_wheels,
+    initialise_wheels,
+    set_steering,
     tyre_sums,
+    wheel_forces,
     wheel_loads,
 )
 
 X, Y, YAW, V_X, V_Y, YAW_RATE = range(6)
 A_X, A_Y = 6, 7
-"""Accelerations as the wheel loads know them, lagged [m/s^2]."""
+"""Lagged accelerations, which determine the wheel loads [m/s^2]."""
 CORNERING = 8
-"""What cornering takes from the drive, as the driver feels it [N]."""
+"""Lagged cornering drag, which the driver compensates [N]."""
 SLIP = 9
 """Transient slip of the first of the four wheels."""
 STEERING = 13
-"""Real road-wheel angle [rad]."""
+"""Road-wheel angle [rad]."""
 SIZE = 14
 STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
-"""Classical Runge-Kutta: where each stage looks, and its weight in sixths."""
+"""Classical Runge-Kutta method: time of each stage in steps, and its weight in sixths."""
 BODY = SLIP
-"""So many numbers of the state are the body's own."""
+"""Number of states of the body, which come first."""
 BODY_RATE, BODY_TOTAL, BODY_TRIAL = LANES, LANES + BODY, LANES + 2 * BODY
 WORK_SIZE = LANES + 3 * BODY
-"""Numbers of a work array; what it holds between two calls is nobody's business."""
+"""Size of the scratch array; its contents are undefined between calls."""
 
 
 @inlined
@@ -50,12 +55,20 @@ def derivative(
     wind: tuple[float, float],
     road: tuple[float, float],
     stage: tuple[float, float],
-    vehicle: Numbers,
+    vehicle: VehicleNumbers,
 ) -> None:
-    """Write the time derivative of the body's trial state, and take the slips through a stage.
+    """Fill the time derivative of the trial state of the body; advance the slips by a stage.
 
-    The wheel loads follow the accelerations through a first-order lag (the time that roll and
-    pitch take): forces then depend on the state alone, and no algebraic loop has to be solved.
+    The wheel loads follow the accelerations with a first-order lag (the dynamics of roll and
+    pitch). The forces then depend on the state alone, and there is no algebraic loop.
+
+    Args:
+        work: Scratch (WORK_SIZE,).
+        target_speed: Target speed of the driver [m/s].
+        wind: Velocity of the air in `map` [m/s].
+        road: Friction coefficient, and integration step [s].
+        stage: Time of the stage from the start of the step [s], and its weight.
+        vehicle: Parameters.
     """
     m, I_z, _, _, _, _ = vehicle.chassis
     _, _, _, load_lag = vehicle.body
@@ -66,20 +79,20 @@ def derivative(
     X_air, Y_air, N_air = air_forces((v_x, v_y), (cos, sin), wind, vehicle.air)
     rolling = rolling_resistance(v_x, m, vehicle.powertrain)
     resistance = rolling - X_air + cornering
-    pedal_forces = pedals(v_x, target_speed, resistance, m, vehicle.powertrain)
+    pedals = pedal_forces(v_x, target_speed, resistance, m, vehicle.powertrain)
     loads = wheel_loads(a_x, a_y, vehicle.chassis, vehicle.body)
-    turn_wheels(work, (v_x, v_y, r), loads, pedal_forces, road, stage)
+    wheel_forces(work, (v_x, v_y, r), loads, pedals, road, stage)
     X_tyre, Y_tyre, N_tyre, F_wheels = tyre_sums(work)
     a_x_now, a_y_now = (X_tyre + X_air - rolling) * (1.0 / m), (Y_tyre + Y_air) * (1.0 / m)
     work[rate + X], work[rate + Y] = cos * v_x - sin * v_y, sin * v_x + cos * v_y
     work[rate + YAW], work[rate + YAW_RATE] = r, (N_tyre + N_air) * (1.0 / I_z)
-    held = stands(v_x, v_y, target_speed)
-    work[rate + V_X] = 0.0 if held else a_x_now + r * v_y
+    parked = stands(v_x, v_y, target_speed)
+    work[rate + V_X] = 0.0 if parked else a_x_now + r * v_y
     work[rate + V_Y] = a_y_now - r * v_x
     work[rate + A_X] = (a_x_now - a_x) * (1.0 / load_lag)
     work[rate + A_Y] = (a_y_now - a_y) * (1.0 / load_lag)
-    taken = F_wheels - X_tyre - m * r * v_y
-    work[rate + CORNERING] = (taken - cornering) * (1.0 / FEELING_LAG)
+    drag = F_wheels - X_tyre - m * r * v_y
+    work[rate + CORNERING] = (drag - cornering) * (1.0 / CORNERING_LAG)
 
 
 @inlined
@@ -88,10 +101,10 @@ def rk4_step(
     target_speed: float,
     wind: tuple[float, float],
     road: tuple[float, float],
-    vehicle: Numbers,
+    vehicle: VehicleNumbers,
     work: Array,
 ) -> None:
-    """Advance body and slips of the state in place by one step."""
+    """Advance the state of body and slips in place by one step; see `derivative`."""
     step = road[1]
     for i in range(BODY):
         work[BODY_RATE + i] = work[BODY_TOTAL + i] = 0.0
@@ -111,7 +124,7 @@ def rk4_step(
 
 
 @in_place
-def drive(
+def drive_steps(
     state: Array,
     waiting: Array,
     command: float,
@@ -121,36 +134,36 @@ def drive(
     steps: int,
     friction: float,
     step: float,
-    vehicle: Numbers,
+    vehicle: VehicleNumbers,
     work: Array,
 ) -> None:
-    """Drive on, in place and without allocation, for some steps of the integration.
+    """Integrate a number of steps, in place and without allocation.
 
     Args:
         state: (SIZE,) state.
-        waiting: (D,) steering angles on their way through the pure delay [rad].
+        waiting: (D,) steering commands in the pure delay [rad].
         command: Steering angle commanded during these steps [rad].
-        target_speed: For the driver [m/s].
+        target_speed: Target speed of the driver [m/s].
         wind: (n, 2) velocity of the air in `map` during each step [m/s].
-        first: Row of the wind for the first step.
-        steps: How many.
+        first: Row of `wind` for the first step.
+        steps: Number of steps.
         friction: Coefficient mu.
-        step: Of the integration [s].
-        vehicle: `parameters.numbers` of the car.
-        work: (WORK_SIZE,) scratch.
+        step: Integration step [s].
+        vehicle: `vehicle_numbers` of the car.
+        work: Scratch (WORK_SIZE,).
     """
-    fit_wheels(work, vehicle)
+    initialise_wheels(work, vehicle)
     for i in range(WHEELS):
         work[S + i] = state[SLIP + i]
-    share, road = approach(step, vehicle.steering), (friction, step)
+    share, road = lag_share(step, vehicle.steering), (friction, step)
     for i in range(steps):
-        delayed = command_in_force(waiting, command, i)
-        state[STEERING] = turned(state[STEERING], delayed, share, step, vehicle.steering)
-        steer(work, state[STEERING])
+        delayed = delayed_command(waiting, command, i)
+        state[STEERING] = next_angle(state[STEERING], delayed, share, step, vehicle.steering)
+        set_steering(work, state[STEERING])
         air = wind[first + i, 0], wind[first + i, 1]
         rk4_step(state, target_speed, air, road, vehicle, work)
         if stands(state[V_X], state[V_Y], target_speed):
             state[V_X] = 0.0
     for i in range(WHEELS):
         state[SLIP + i] = work[S + i]
-    queue_up(waiting, command, steps)
+    shift_queue(waiting, command, steps)

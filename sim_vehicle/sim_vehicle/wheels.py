@@ -1,7 +1,8 @@
-"""The four wheels as four lanes: rows of the work array hold one number per wheel.
+"""Forces of the four wheels, in SIMD code: rows of the scratch array hold one number per wheel.
 
-The loop over the wheels has neither branch nor call, so the compiler makes SIMD code of it. Rows
-that it writes lie before those that it only reads: the compiler then sees that lanes do not meet.
+The loop over the wheels has neither branches nor calls, so that the compiler vectorises it. The
+rows that it writes precede the rows that it only reads, which proves to the compiler that they do
+not overlap.
 """
 
 from ampc_msgs_config.compiled import in_place, inlined
@@ -10,28 +11,28 @@ from ampc_msgs_config.types import Array
 from sim_vehicle.driver import longitudinal_demand
 from sim_vehicle.elementary import sine_and_cosine
 from sim_vehicle.pacejka import transient_slip, tyre_forces
-from sim_vehicle.parameters import Numbers
+from sim_vehicle.vehicle_row import VehicleNumbers
 
 WHEELS = 4
 """Front left, front right, rear left, rear right."""
 F_X, F_Y, F_WHEEL = 0, 4, 8
 """Forces along body x and y, and along the wheel [N]."""
 S_RATE, S_TOTAL, S = 12, 16, 20
-"""Transient slip: its rate, the weighted sum of its rates, and itself at the start of the step."""
+"""Transient slip: rate, weighted sum of the rates, and value at the start of the step."""
 ARM_X, ARM_Y = 24, 28
-"""Position of the wheel before and to the left of the centre of gravity [m]."""
+"""Position of the wheel ahead and to the left of the centre of gravity [m]."""
 COS, SIN = 32, 36
-"""Of the wheel's angle."""
+"""Cosine and sine of the wheel angle."""
 DRIVE, BRAKE = 40, 44
-"""Share of the wheel in the forces of engine and brakes."""
+"""Shares of the wheel in the forces of engine and brakes."""
 TYRE = 48
-"""The nine numbers of the wheel's tyre."""
+"""The nine numbers of the tyre."""
 LANES = TYRE + 9 * WHEELS
 
 
 @in_place
-def fit_wheels(work: Array, vehicle: Numbers) -> None:
-    """Write what is constant into the rows of the work array."""
+def initialise_wheels(work: Array, vehicle: VehicleNumbers) -> None:
+    """Fill the constant rows of the scratch array."""
     (_, _, l_f, l_r, _, _), (track, _, _, _) = vehicle.chassis, vehicle.body
     _, _, _, f_drive, f_brake, _, _ = vehicle.powertrain
     for i in range(WHEELS):
@@ -47,8 +48,8 @@ def fit_wheels(work: Array, vehicle: Numbers) -> None:
 
 
 @inlined
-def steer(work: Array, angle: float) -> None:
-    """Turn the front wheels to a road-wheel angle [rad]."""
+def set_steering(work: Array, angle: float) -> None:
+    """Fill cosine and sine of the front wheels for a road-wheel angle [rad]."""
     sin, cos = sine_and_cosine(angle)
     for i in range(2):
         work[COS + i], work[SIN + i] = cos, sin
@@ -58,11 +59,11 @@ def steer(work: Array, angle: float) -> None:
 def wheel_loads(
     a_x: float, a_y: float, chassis: tuple[float, ...], body: tuple[float, ...]
 ) -> tuple[float, float, float, float]:
-    """Give the four wheel loads [N]: none is negative, and their sum is the weight.
+    """Return the four wheel loads [N]; none is negative, and their sum is the weight.
 
     Args:
-        a_x: Acceleration forwards [m/s^2].
-        a_y: Acceleration to the left [m/s^2].
+        a_x: Longitudinal acceleration [m/s^2].
+        a_y: Lateral acceleration, positive to the left [m/s^2].
         chassis: `astuple` of ChassisParameters.
         body: `astuple` of BodyParameters.
     """
@@ -82,25 +83,25 @@ def wheel(
     s: float,
     velocity: tuple[float, float],
     direction: tuple[float, float],
-    pedal_forces: tuple[float, float],
+    pedals: tuple[float, float],
     load: float,
     road: tuple[float, float],
     tyre: tuple[float, ...],
 ) -> tuple[float, float, float, float]:
-    """Give the slip's rate [1/s], the force along body x and y, and along the wheel [N].
+    """Return the slip rate [1/s], the force along body x and y, and along the wheel [N].
 
     Args:
         s: Transient slip.
-        velocity: Of the wheel centre in the body frame [m/s].
-        direction: Cosine and sine of the wheel's angle.
-        pedal_forces: Of engine and brake on this wheel [N].
+        velocity: Velocity of the wheel centre in the body frame [m/s].
+        direction: Cosine and sine of the wheel angle.
+        pedals: Forces of engine and brake on this wheel [N].
         load: Wheel load [N].
-        road: Friction coefficient, and the step of the integration [s].
-        tyre: Numbers of the axle's tyre.
+        road: Friction coefficient, and integration step [s].
+        tyre: Numbers of the tyre.
     """
     (v_x, v_y), (cos, sin), (friction, step) = velocity, direction, road
     rolling, sliding = cos * v_x + sin * v_y, cos * v_y - sin * v_x
-    demand = longitudinal_demand(rolling, pedal_forces[0], pedal_forces[1])
+    demand = longitudinal_demand(rolling, pedals[0], pedals[1])
     s_rate, slip = transient_slip(s, rolling, sliding, step, tyre)
     F_x, F_y = tyre_forces(slip, demand, load, friction, tyre)
     return s_rate, cos * F_x - sin * F_y, sin * F_x + cos * F_y, F_x
@@ -108,7 +109,7 @@ def wheel(
 
 @inlined
 def tyre_of(work: Array, i: int) -> tuple[float, ...]:
-    """Give the numbers of the tyre of a wheel."""
+    """Return the numbers of the tyre of wheel i."""
     a, b, c = work[TYRE + i], work[TYRE + 4 + i], work[TYRE + 8 + i]
     d, e, f = work[TYRE + 12 + i], work[TYRE + 16 + i], work[TYRE + 20 + i]
     g, h, j = work[TYRE + 24 + i], work[TYRE + 28 + i], work[TYRE + 32 + i]
@@ -116,26 +117,26 @@ def tyre_of(work: Array, i: int) -> tuple[float, ...]:
 
 
 @inlined
-def turn_wheels(
+def wheel_forces(
     work: Array,
     motion: tuple[float, float, float],
     loads: tuple[float, float, float, float],
-    pedal_forces: tuple[float, float],
+    pedals: tuple[float, float],
     road: tuple[float, float],
     stage: tuple[float, float],
 ) -> None:
-    """Write the forces of the wheels, and take their slips through a stage of Runge-Kutta.
+    """Fill the wheel forces, and advance the transient slips by a Runge-Kutta stage.
 
     Args:
         work: Rows of the wheels.
         motion: v_x, v_y [m/s] and yaw rate [rad/s] of the body.
         loads: `wheel_loads` [N].
-        pedal_forces: What the driver asks of engine and brakes [N].
-        road: Friction coefficient, and the step of the integration [s].
-        stage: Where it looks [s], and its weight.
+        pedals: Forces demanded from engine and brakes [N].
+        road: Friction coefficient, and integration step [s].
+        stage: Time of the stage from the start of the step [s], and its weight.
     """
     (v_x, v_y, r), (fl, fr, rl, rr) = motion, loads
-    (engine, brake), (reach, weight) = pedal_forces, stage
+    (engine, brake), (reach, weight) = pedals, stage
     for i in range(WHEELS):
         x, y = work[ARM_X + i], work[ARM_Y + i]
         load = (fl if y > 0.0 else fr) if x > 0.0 else (rl if y > 0.0 else rr)
@@ -155,9 +156,9 @@ def turn_wheels(
 
 @inlined
 def tyre_sums(work: Array) -> tuple[float, float, float, float]:
-    """Give the forces of all wheels along body x, y [N], their moment [N m], and along the wheels.
+    """Return the sums of force along x and y [N], moment [N m], and force along the wheels [N].
 
-    Exchanging left and right changes no bit of the sums.
+    The order of the additions makes the sums exactly symmetric in left and right.
     """
     left_x, right_x = work[F_X] + work[F_X + 2], work[F_X + 1] + work[F_X + 3]
     front_y, rear_y = work[F_Y] + work[F_Y + 1], work[F_Y + 2] + work[F_Y + 3]

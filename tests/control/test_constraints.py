@@ -14,9 +14,10 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.constraints import FIRST_OUTPUT_STEP, output_rows, output_steps, row_count
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import limits_of
-from ampc_ros.mpc.programme import Tick, problem
-from ampc_ros.mpc.qp import Qp, QpSolution
+from ampc_ros.mpc.qp import Qp
+from ampc_ros.paper.qp_assembly import StepInput, new_qp
 from tests.filled import (
+    QpSolution,
     active_set,
     augment,
     laguerre_sequence,
@@ -28,7 +29,7 @@ from tests.filled import (
 CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
 TABLE_3 = Gains(45, 15, 5, 0.75, 10.0, 0.01)
 DIGITS = 1e-9
-"""A bound counts as kept up to this [rad], [m]."""
+"""Tolerance of the bounds [rad], [m]."""
 many = settings(max_examples=100, deadline=None, derandomize=True)
 states = st.tuples(
     st.floats(-0.5, 0.5),
@@ -39,19 +40,19 @@ states = st.tuples(
 ).map(np.array)
 
 
-def posed(gains: Gains, tick: Tick, **options: float) -> Qp:
-    """Give the programme of one step of the paper's car."""
-    return problem(CHASSIS, gains, limits_of(ControllerSettings(**options)), tick)  # type: ignore[arg-type]
+def qp_of(gains: Gains, tick: StepInput, **options: float) -> Qp:
+    """Return the QP of one step of the paper's car."""
+    return new_qp(CHASSIS, gains, limits_of(ControllerSettings(**options)), tick)  # type: ignore[arg-type]
 
 
 def moves(gains: Gains, solution: QpSolution) -> Array:
-    """Give the increments that a solution plans (N_c,) [rad]."""
+    """Return the increments that a solution plans (N_c,) [rad]."""
     L = laguerre_sequence(gains.laguerre_pole, gains.laguerre_terms, gains.control_horizon)
     return np.asarray(L @ solution.x[: gains.laguerre_terms])
 
 
-def outputs(gains: Gains, tick: Tick, solution: QpSolution) -> Array:
-    """Give the lateral positions that the model expects of these increments (N_p,) [m]."""
+def outputs(gains: Gains, tick: StepInput, solution: QpSolution) -> Array:
+    """Return the lateral positions that the model expects of these increments (N_p,) [m]."""
     A, B = augment(*zero_order_hold(CHASSIS, tick.v_x, 0.1))
     L = laguerre_sequence(gains.laguerre_pole, gains.laguerre_terms, gains.control_horizon)
     free, Phi = predict(A, B, L, tick.x, gains.prediction_horizon)
@@ -82,8 +83,8 @@ def test_increments_and_angles_of_a_solution_keep_their_bounds(
     angle: float,
 ) -> None:
     gains = Gains(30, 10, N, alpha, 10.0, R)
-    tick = Tick(v_x, x, u, r)
-    solution = active_set(posed(gains, tick, max_increment=increment, max_angle=angle))
+    tick = StepInput(v_x, x, u, r)
+    solution = active_set(qp_of(gains, tick, max_increment=increment, max_angle=angle))
     assert solution.converged
     Delta_u = moves(gains, solution)
     held = min(max(u, -angle), angle)  # an angle outside its bound is taken at the bound
@@ -93,10 +94,10 @@ def test_increments_and_angles_of_a_solution_keep_their_bounds(
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 def test_far_set_point_is_approached_at_the_bounds(side: float) -> None:
-    tick = Tick(9.0, np.zeros(5), 0.0, side * 10.0)
-    solution = active_set(posed(TABLE_3, tick, max_increment=0.02))
+    tick = StepInput(9.0, np.zeros(5), 0.0, side * 10.0)
+    solution = active_set(qp_of(TABLE_3, tick, max_increment=0.02))
     assert moves(TABLE_3, solution)[0] == pytest.approx(side * 0.02, abs=DIGITS)
-    assert side * solution.multipliers[0] > 0  # the sign tells the bound that holds
+    assert side * solution.multipliers[0] > 0  # the sign names the active bound
 
 
 def test_running_sum_turns_increments_into_angles() -> None:
@@ -105,7 +106,7 @@ def test_running_sum_turns_increments_into_angles() -> None:
 
 
 def test_rows_bound_both_sides_of_increment_and_angle() -> None:
-    qp = posed(TABLE_3, Tick(9.0, np.zeros(5), 0.1, 0.0), max_increment=0.2, max_angle=0.5)
+    qp = qp_of(TABLE_3, StepInput(9.0, np.zeros(5), 0.1, 0.0), max_increment=0.2, max_angle=0.5)
     L = laguerre_sequence(0.75, 5, 15)
     angles = np.cumsum(L, axis=0)
     np.testing.assert_allclose(qp.M, np.stack((L, angles), axis=1).reshape(30, 5))
@@ -114,10 +115,10 @@ def test_rows_bound_both_sides_of_increment_and_angle() -> None:
 
 
 def test_there_are_no_output_rows_without_a_finite_lane() -> None:
-    tick = Tick(9.0, np.zeros(5), 0.0, 1.0)
-    assert posed(TABLE_3, tick, max_output_error=math.inf).M.shape == (2 * 15, 5)
+    tick = StepInput(9.0, np.zeros(5), 0.0, 1.0)
+    assert qp_of(TABLE_3, tick, max_output_error=math.inf).M.shape == (2 * 15, 5)
     # the fifth to the fifteenth step on either side, and slack >= 0
-    assert posed(TABLE_3, tick, max_output_error=1.0).M.shape == (2 * 15 + 2 * 11 + 1, 6)
+    assert qp_of(TABLE_3, tick, max_output_error=1.0).M.shape == (2 * 15 + 2 * 11 + 1, 6)
     assert (row_count(15, 0), row_count(15, 11)) == (2 * 15, 2 * 15 + 2 * 11 + 1)
 
 
@@ -131,9 +132,9 @@ def test_rows_of_an_output_share_the_slack_and_say_nothing_else() -> None:
     for _ in range(200):
         eta, slack = rng.normal(0, 0.5, 3), rng.normal(0.3, 0.5)
         value = qp.M @ np.append(eta, slack)
-        kept = (qp.low[2:] <= value[2:]) & (value[2:] <= qp.high[2:])
+        holds = (qp.low[2:] <= value[2:]) & (value[2:] <= qp.high[2:])
         excess = np.abs(error - Phi.T @ eta)[FIRST_OUTPUT_STEP - 1 :] - 0.7
-        assert kept.all() == (slack >= max(excess.max(), 0.0))
+        assert holds.all() == (slack >= max(excess.max(), 0.0))
 
 
 @pytest.mark.parametrize(
@@ -151,8 +152,8 @@ def test_outputs_are_bounded_from_the_fifth_step_to_the_control_horizon(
 def test_lane_is_soft_from_anywhere_and_the_slack_is_the_largest_excess(
     x: Array, v_x: float, half_width: float, r: float
 ) -> None:
-    tick = Tick(v_x, x, 0.0, r)
-    solution = active_set(posed(TABLE_3, tick, max_output_error=half_width))
+    tick = StepInput(v_x, x, 0.0, r)
+    solution = active_set(qp_of(TABLE_3, tick, max_output_error=half_width))
     assert solution.converged
     error = np.abs(outputs(TABLE_3, tick, solution) - r)[FIRST_OUTPUT_STEP - 1 : 15]
     slack = solution.x[-1]
@@ -160,8 +161,8 @@ def test_lane_is_soft_from_anywhere_and_the_slack_is_the_largest_excess(
 
 
 def test_slack_of_a_car_that_cannot_steer_is_its_distance_from_the_lane() -> None:
-    tick = Tick(9.0, np.array([0.0, 0.0, 0.0, 0.0, 2.5]), 0.0, 0.0)  # parallel, 2.5 m beside
-    solution = active_set(posed(TABLE_3, tick, max_increment=0.0, max_output_error=1.0))
+    tick = StepInput(9.0, np.array([0.0, 0.0, 0.0, 0.0, 2.5]), 0.0, 0.0)  # parallel, 2.5 m beside
+    solution = active_set(qp_of(TABLE_3, tick, max_increment=0.0, max_output_error=1.0))
     assert solution.converged
     assert solution.x[-1] == pytest.approx(1.5, abs=DIGITS)
 
@@ -172,7 +173,7 @@ def test_lane_pulls_a_car_that_would_cut_it_and_costs_the_weight_times_slack_squ
     M, low, high = np.array([[-1.0, -1.0], [0.0, 1.0]]), np.array([-np.inf, 0.0]), [-1.0, np.inf]
     solution = active_set(Qp(2 * np.diag([1.0, w]), none, M, low, np.array(high)))
     np.testing.assert_allclose(solution.x, [0.75, 0.25])
-    qp = posed(TABLE_3, Tick(9.0, np.zeros(5), 0.0, 1.0), max_output_error=1.0, slack_weight=w)
+    qp = qp_of(TABLE_3, StepInput(9.0, np.zeros(5), 0.0, 1.0), max_output_error=1.0, slack_weight=w)
     np.testing.assert_array_equal(qp.E[-1], [0, 0, 0, 0, 0, 2 * w])
     np.testing.assert_array_equal(qp.E[:, -1], [0, 0, 0, 0, 0, 2 * w])
     assert qp.K[-1] == 0.0
@@ -180,11 +181,11 @@ def test_lane_pulls_a_car_that_would_cut_it_and_costs_the_weight_times_slack_squ
 
 @pytest.mark.parametrize("weight", [1.0, 1e2, 1e4, 1e6])
 def test_heavier_slack_is_smaller(weight: float) -> None:
-    tick = Tick(9.0, np.array([0.0, 0.0, 0.0, 0.0, 1.2]), 0.0, 0.0)
+    tick = StepInput(9.0, np.array([0.0, 0.0, 0.0, 0.0, 1.2]), 0.0, 0.0)
     gains = TABLE_3._replace(increment_weight=1000.0)
 
     def slack(weight: float) -> float:
-        qp = posed(gains, tick, max_output_error=0.5, slack_weight=weight)
+        qp = qp_of(gains, tick, max_output_error=0.5, slack_weight=weight)
         return float(active_set(qp).x[-1])
 
     assert 0.0 < slack(10 * weight) < slack(weight)

@@ -18,7 +18,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, Vehic
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.model import SampledModel, sample, steady_steering
+from ampc_ros.preview.model import SampledModel, sample_model, steady_steering
 from ampc_ros.supervision.feed_forward import FeedForward
 from sim_vehicle.closed_loop import drive
 from tests.workshop.acceptance.trials import (
@@ -58,7 +58,7 @@ def spectral_radius(car: str, v_x: float, actuator: Actuator) -> float:
     """
     A, B_old, B_new, D = np.zeros((STATES, STATES)), *np.zeros((3, STATES))
     model = SampledModel(A, B_old, B_new, D)
-    sample(astuple(chassis(car)), v_x, PERIOD, actuator, model, make_scratch(400))
+    sample_model(astuple(chassis(car)), v_x, PERIOD, actuator, model, make_scratch(400))
     steers = alone(car)
 
     def tick(z: Array) -> Array:

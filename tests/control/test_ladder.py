@@ -24,7 +24,7 @@ from ampc_msgs_config.types import (
 )
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller import build_controller
-from ampc_ros.preview.tick import HOLD_BELOW, REVERSE_BELOW
+from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW
 from ampc_ros.supervision.ladder import (
     AGAINST_PATH,
     BACKWARDS,

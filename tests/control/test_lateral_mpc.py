@@ -42,18 +42,18 @@ gain_sets = st.builds(
 
 
 def controller(gains: Gains = GENTLE, **options: float | str) -> LateralMpc:
-    """Give the controller of the paper's car with one gain set and these settings."""
+    """Return the controller of the paper's car with one gain set and these settings."""
     table = GainTable([9.0], [0.0], [gains])
     return LateralMpc(CHASSIS, replace(SETTINGS, **options), table)  # type: ignore[arg-type]
 
 
 def state(tick: int, left: float = 0.0, yaw: float = 0.0, v_x: float = 9.0) -> VehicleState:
-    """Give a state of the rear axle on its way along ROAD."""
+    """Return a state of the rear axle on its way along ROAD."""
     return VehicleState(tick * 100_000_000, 0.1 * v_x * tick, left, yaw, v_x, 0.02, 0.01)
 
 
 def textbook_move(x: Array, r: float, u: float, v_x: float, gains: Gains) -> float:
-    """Give the first increment by Eqs. (7)-(17) in dense numpy and a library's solver [rad]."""
+    """Return the first increment by Eqs. (7)-(17) in dense numpy and a library's solver [rad]."""
     N_p, N_c, N, alpha, Q, R = gains
     A_c, B_c = lateral_dynamics(astuple(CHASSIS), v_x)
     block = np.zeros((5, 5))
@@ -151,6 +151,24 @@ def test_standing_car_gets_finite_commands(gains: Gains, seed: int) -> None:
         assert math.isfinite(mpc.step(rear, BEND).steering)
 
 
+def test_plan_continues_from_the_angle_in_force_and_begins_with_the_command() -> None:
+    mpc = controller()
+    mpc.memory[STEERING] = 0.12
+    command = mpc.step(state(0, left=-1.0), ROAD)
+    assert command.plan is not None
+    assert len(command.plan) == GENTLE.control_horizon
+    assert command.plan[0] == pytest.approx(command.steering, abs=1e-12)
+    increments = np.diff(command.plan, prepend=0.12)
+    assert np.abs(increments).max() <= SETTINGS.max_increment + 1e-9
+    assert np.abs(increments).max() > 1e-3
+
+
+def test_conditioning_is_checked_at_the_highest_speed_too() -> None:
+    singular_at_27 = Gains(45, 15, 7, 0.75, 10.0, 0.01)  # cond(E) = 7e10 at 3 m/s
+    with pytest.raises(ValueError, match=r"laguerre_terms = 7 .*cond\(E\) = 6.0e\+12 at 27 m/s"):
+        controller(singular_at_27)
+
+
 def test_angle_is_held_and_reported_where_the_solver_did_not_finish() -> None:
     mpc = controller(load_gain_table("table3").nodes[0], solver="hildreth", hildreth_sweeps=1.0)
     mpc.memory[STEERING] = 0.1
@@ -185,7 +203,7 @@ def test_classic_controller_is_the_adaptive_one_with_its_model_at_one_speed() ->
     assert fixed.step(faster, ROAD).steering != adaptive.step(faster, ROAD).steering
     classic = make_controller(Choices("classic"))
     assert isinstance(classic, LateralMpc)
-    assert classic.belief.nominal_speed == CLASSIC_SPEED
+    assert classic.model.nominal_speed == CLASSIC_SPEED
 
 
 def test_new_path_keeps_the_angle_and_forgets_the_last_increment() -> None:
@@ -210,7 +228,7 @@ def test_reset_controller_is_as_a_new_one() -> None:
         assert mpc.step(rear, BEND).steering == fresh.step(rear, BEND).steering
 
 
-def test_diagnosis_tells_errors_gains_rows_and_table() -> None:
+def test_diagnosis_contains_errors_gains_rows_and_table() -> None:
     table = GainTable([9.0, 10.0], [0.0], [GENTLE, GENTLE])
     mpc = LateralMpc(CHASSIS, replace(SETTINGS, max_output_error=0.5), table)
     far = VehicleState(7, 10.0, 4.0, 0.1, 20.0, 0.0, 0.0)
@@ -260,7 +278,7 @@ def test_every_controller_warms_up_and_starts_afresh(name: str, vehicle: str) ->
 
 
 @pytest.mark.parametrize(
-    ("choices", "complaint"),
+    ("choices", "message"),
     [
         (Choices("pid"), "controller = 'pid' must be one of preview, paper, classic, pure_pursuit"),
         (Choices(vehicle="tank"), "'tank' is neither a file nor one of the shipped vehicles"),
@@ -268,6 +286,6 @@ def test_every_controller_warms_up_and_starts_afresh(name: str, vehicle: str) ->
         (Choices(gain_table="none"), "'none' is neither a file nor one of the shipped gains"),
     ],
 )
-def test_wrong_choice_is_refused_by_name(choices: Choices, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
+def test_wrong_choice_is_rejected_by_name(choices: Choices, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         make_controller(choices)

@@ -22,7 +22,7 @@ many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def nonlinear_bicycle(chassis: ChassisParameters, v_x: float, x: Array, delta: float) -> Array:
-    """Give the rates of [v_y, yaw, yaw rate, Y] by Eqs. (1)-(5), nothing linearised."""
+    """Return the rates of [v_y, yaw, yaw rate, Y] by Eqs. (1)-(5), nothing linearised."""
     m, I_z, l_f, l_r, C_f, C_r = astuple(chassis)
     v_y, yaw, r, _ = x
     F_f = C_f * (delta - math.atan((v_y + l_f * r) / v_x))  # per tyre, Eqs. (2)-(4)
@@ -38,7 +38,7 @@ def nonlinear_bicycle(chassis: ChassisParameters, v_x: float, x: Array, delta: f
 
 
 def numerical_jacobian(chassis: ChassisParameters, v_x: float) -> Array:
-    """Give d rates / d (state, angle) about straight driving by central differences, (4, 5)."""
+    """Return d rates / d (state, angle) about straight driving by central differences, (4, 5)."""
     h = 1e-4
     columns = []
     for step in h * np.eye(5):
@@ -48,7 +48,7 @@ def numerical_jacobian(chassis: ChassisParameters, v_x: float) -> Array:
 
 
 @both_cars
-@pytest.mark.parametrize("v_x", [1.0, 3.0, 9.0, 15.0, 27.0, 40.0])
+@pytest.mark.parametrize("v_x", [1.0, 9.0, 40.0])
 def test_model_is_the_jacobian_of_the_nonlinear_bicycle(
     chassis: ChassisParameters, v_x: float
 ) -> None:
@@ -58,16 +58,14 @@ def test_model_is_the_jacobian_of_the_nonlinear_bicycle(
 
 
 @both_cars
-@pytest.mark.parametrize("v_x", [0.0, 0.3, 0.999, -2.0])
 def test_model_below_one_metre_per_second_is_that_of_one_metre_per_second(
-    chassis: ChassisParameters, v_x: float
+    chassis: ChassisParameters,
 ) -> None:
-    for slow, held in zip(
-        lateral_dynamics(astuple(chassis), v_x),
-        lateral_dynamics(astuple(chassis), MIN_SPEED),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(slow, held)
+    held = lateral_dynamics(astuple(chassis), MIN_SPEED)
+    for v_x in (-2.0, 0.0, 0.999):
+        slow = lateral_dynamics(astuple(chassis), v_x)
+        for one, other in zip(slow, held, strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @many
@@ -92,7 +90,7 @@ def test_exponential_and_its_integrals_are_those_of_van_loan_s_block_matrix(
 
 
 def block_matrix(chassis: ChassisParameters, v_x: float, lag: float) -> Array:
-    """Give [[A, B], [0, 0]] (6, 6) of Eq. (7) with a steering that lags."""
+    """Return [[A, B], [0, 0]] (6, 6) of Eq. (7) with a steering that lags."""
     block = np.zeros((STATES + 1, STATES + 1))
     block[:4, :4], B_c = lateral_dynamics(astuple(chassis), v_x)
     block[:4, DELTA if lag > 0.0 else STATES] = B_c
@@ -102,9 +100,11 @@ def block_matrix(chassis: ChassisParameters, v_x: float, lag: float) -> Array:
 
 
 @both_cars
-@pytest.mark.parametrize("T", [0.001, 0.01, 0.05, 0.1, 1.0])
-@pytest.mark.parametrize("lag", [0.0, 0.001, 0.01, 0.1, 1.0])
-@pytest.mark.parametrize("v_x", [0.0, 1.0, 1.7, 4.0, 9.0, 27.0, 40.0, 60.0])
+@pytest.mark.parametrize(
+    ("v_x", "lag", "T"),
+    [(0.0, 0.0, 0.1), (1.7, 0.001, 1.0), (9.0, 0.1, 0.001), (60.0, 1.0, 0.05)],
+    ids=["standstill without lag", "stiff lag", "small step", "fast"],
+)
 def test_zero_order_hold_is_the_exponential_of_the_block_matrix(
     chassis: ChassisParameters, v_x: float, lag: float, T: float
 ) -> None:

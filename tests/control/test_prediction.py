@@ -19,12 +19,12 @@ many = settings(max_examples=50, deadline=None, derandomize=True)
 
 
 def augmented_model(v_x: float) -> tuple[Array, Array]:
-    """Give the model of Eq. (9) at a speed, for T = 0.1 s."""
+    """Return the model of Eq. (9) at a speed, for T = 0.1 s."""
     return augment(*zero_order_hold(CHASSIS, v_x, 0.1))
 
 
 def printed_prediction(A: Array, B: Array, N_p: int, N_c: int) -> tuple[Array, Array]:
-    """Give F and Phi entry by entry as Eq. (10) prints them."""
+    """Return F and Phi entry by entry as Eq. (10) prints them."""
     power = [np.linalg.matrix_power(A, i) for i in range(N_p + 1)]
     F = np.array([C @ power[i + 1] for i in range(N_p)])
     Phi = [[C @ power[i - j] @ B if i >= j else 0.0 for j in range(N_c)] for i in range(N_p)]

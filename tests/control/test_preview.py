@@ -48,27 +48,27 @@ SLOW = ("iso3888_1", "iso3888_2")
 
 
 def preview(base_link_to_cg: float | None = None) -> PreviewMpc:
-    """Give the shipped controller for the paper's car."""
+    """Return the shipped controller for the paper's car."""
     limits = load(ControllerSettings, find("controllers", "table3"))
     table = load_gain_table("preview")
     return PreviewMpc(CAR.chassis, CAR.steering, limits, table, base_link_to_cg)
 
 
 def state_at(x: float, y: float, yaw: float = 0.0, v_x: float = 9.0, k: int = 0) -> VehicleState:
-    """Give a car that rolls without sliding, at tick k."""
+    """Return a car that rolls without sliding, at tick k."""
     return VehicleState(k * NANOSECONDS // 10, x, y, yaw, v_x, 0.0, 0.0)
 
 
 @cache
 def sc1() -> tuple[Drive, Path]:
-    """Give the drive of sc1 that others are compared with, with noise to excite everything."""
+    """Return the drive of sc1 that others are compared with, with noise to excite everything."""
     scenario = load_scenario("sc1", CAR.size)
     simulation = Simulation(CAR, scenario, noise=NOISE, rng=np.random.default_rng(3))
     return drive(simulation, preview()), make_path(scenario.points)
 
 
-def answers(controller: PreviewMpc, states: list[VehicleState], path: Path) -> Array:
-    """Give the steering for states that are given, open loop [rad]."""
+def open_loop_steering(controller: PreviewMpc, states: list[VehicleState], path: Path) -> Array:
+    """Return the steering for recorded states, open loop [rad]."""
     return np.array([controller.step(state, path).steering for state in states])
 
 
@@ -93,7 +93,7 @@ def test_a_car_that_joins_from_three_metres_settles(v: float, friction: float) -
     Trial("sc1_falcone", "independent", speed=11.0),
     Trial("straight", "independent", speed=15.0, offset=3.0),
 ], ids=["lane change", "joining"])  # fmt: skip
-def test_the_same_gains_drive_a_plant_that_nobody_here_wrote(trial: Trial) -> None:
+def test_the_same_gains_drive_an_independent_plant(trial: Trial) -> None:
     pytest.importorskip("vehiclemodels")
     error = run(trial, "preview").error
     assert np.abs(error[-30:]).max() < 0.01
@@ -114,8 +114,10 @@ def test_mirrored_driving_is_steered_mirrored() -> None:
     ]
     flipped = make_path(np.column_stack((path.x, -path.y)))
     straight = make_path(np.column_stack((path.x, path.y)))
-    expected = answers(preview(), recorded.states, straight)
-    np.testing.assert_allclose(answers(preview(), mirrored, flipped), -expected, atol=1e-6)
+    expected = open_loop_steering(preview(), recorded.states, straight)
+    np.testing.assert_allclose(
+        open_loop_steering(preview(), mirrored, flipped), -expected, atol=1e-6
+    )
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
@@ -134,19 +136,21 @@ def test_rotation_and_translation_do_not_matter(angle: float, dx: float, dy: flo
         yaw = math.remainder(s.yaw + angle, math.tau)
         states.append(s._replace(x=float(x), y=float(y), yaw=yaw))
     path = make_path(np.column_stack(moved(*points.T)))
-    np.testing.assert_allclose(answers(preview(), states, path), recorded.steering, atol=1e-6)
+    np.testing.assert_allclose(
+        open_loop_steering(preview(), states, path), recorded.steering, atol=1e-6
+    )
 
 
 def test_a_shift_in_time_does_not_matter() -> None:
     recorded, path = sc1()
     later = [s._replace(stamp_ns=s.stamp_ns + 10**18) for s in recorded.states]
-    np.testing.assert_array_equal(answers(preview(), later, path), recorded.steering)
+    np.testing.assert_array_equal(open_loop_steering(preview(), later, path), recorded.steering)
 
 
 def test_both_conventions_of_base_link_give_the_same_driving() -> None:
     recorded, path = sc1()
     centred = [at_distance(s, TO_CG) for s in recorded.states]
-    steering = answers(preview(base_link_to_cg=0.0), centred, path)
+    steering = open_loop_steering(preview(base_link_to_cg=0.0), centred, path)
     np.testing.assert_allclose(steering, recorded.steering, atol=1e-9)
 
 
@@ -156,8 +160,8 @@ def test_a_replan_with_the_same_geometry_causes_no_jump(spacing: float) -> None:
     x = np.arange(0.0, path.x[-1], spacing)
     replanned = make_path(np.column_stack((x, np.interp(x, path.x, path.y))))
     controller, half = preview(), len(recorded.states) // 4
-    answers(controller, recorded.states[:half], path)
-    steering = answers(controller, recorded.states[half : half + 20], replanned)
+    open_loop_steering(controller, recorded.states[:half], path)
+    steering = open_loop_steering(controller, recorded.states[half : half + 20], replanned)
     jump = np.abs(steering - recorded.steering[half : half + 20])
     assert np.degrees(jump[0]) < 0.2
     assert np.degrees(jump.max()) < 0.2
@@ -199,9 +203,7 @@ def test_beyond_the_end_of_the_path_the_car_goes_straight_on() -> None:
         (state_at(10.0, 0.1, yaw=-2.0), WRONG_WAY),
     ],
 )
-def test_the_mode_tells_what_cannot_be_steered_and_the_wheel_holds(
-    state: VehicleState, mode: int
-) -> None:
+def test_the_angle_is_held_in_every_mode_but_tracking(state: VehicleState, mode: int) -> None:
     controller = preview()
     held = controller.step(state_at(9.5, 0.5), STRAIGHT).steering
     command = controller.step(state._replace(stamp_ns=NANOSECONDS // 10), STRAIGHT)
@@ -209,7 +211,7 @@ def test_the_mode_tells_what_cannot_be_steered_and_the_wheel_holds(
     assert (command.steering == held) is (mode != TRACKING)
 
 
-def test_a_standing_car_with_noise_is_never_said_to_reverse() -> None:
+def test_a_standing_car_with_noise_never_counts_as_reversing() -> None:
     controller, rng = preview(), np.random.default_rng(1)
     speeds = NOISE.speed * rng.standard_normal(200)
     modes = {
@@ -315,7 +317,7 @@ def test_a_wheel_that_is_stuck_holds_the_command_back() -> None:
 
 
 class Measuring:
-    """A controller that is told the measured angle before each step."""
+    """Controller that receives the measured angle before each step."""
 
     def __init__(self, controller: PreviewMpc, simulation: Simulation) -> None:
         """Measure on the car of a simulation."""
@@ -323,7 +325,7 @@ class Measuring:
         self.period = controller.period
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Tell, then answer."""
+        """Set the measured angle, then return the command."""
         self.controller.observe_steering(self.simulation.car.steering)
         return self.controller.step(state, path)
 

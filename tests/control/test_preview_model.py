@@ -39,7 +39,7 @@ def continuous_model(vehicle: Vehicle, v_x: float, lag: float) -> Array:
 
 
 def steering(delay: float, lag: float = 0.0) -> SteeringParameters:
-    """Give an actuator with this delay and lag [s]."""
+    """Return an actuator with this delay and lag [s]."""
     return SteeringParameters(max_angle=0.5, delay=delay, lag=lag)
 
 
@@ -97,8 +97,8 @@ def test_step_is_the_exponentials_of_the_block_matrix_before_and_after_the_input
     both, late = new @ old, new[:n, :n] @ old[:n, STATES]
     expected = np.column_stack((both[:n, :n], late, new[:n, STATES], both[:n, STATES + 1]))
     A, B_old, B_new, D = sampled_model(vehicle, v_x, T, Actuator(0, share, lag))
-    found = np.column_stack((A[:n, :n], B_old[:n], B_new[:n], D[:n]))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    result = np.column_stack((A[:n, :n], B_old[:n], B_new[:n], D[:n]))
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-12)
 
 
 @many
@@ -109,15 +109,15 @@ def test_step_is_the_exponentials_of_the_block_matrix_before_and_after_the_input
     a_y=st.floats(-5.0, 5.0),
     moment=st.floats(-2.0, 2.0),
 )
-def test_a_held_side_force_is_found_in_the_change_that_it_makes(
+def test_side_acceleration_is_recovered_from_the_change_of_the_state(
     vehicle: Vehicle, v_x: float, T_s: float, a_y: float, moment: float
 ) -> None:
     A_c, _ = lateral_dynamics(vehicle, v_x)
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4] = A_c, (a_y, 0.0, moment, 0.0)
     change = np.append(expm(block * T_s)[:4, 4], 0.0)
-    found = side_acceleration(vehicle, v_x, T_s, change, make_scratch(100))
-    assert found == pytest.approx(a_y, abs=1e-8)
+    result = side_acceleration(vehicle, v_x, T_s, change, make_scratch(100))
+    assert result == pytest.approx(a_y, abs=1e-8)
 
 
 @many
@@ -144,7 +144,9 @@ def test_the_steady_angle_holds_the_model_on_a_bend(v: float, kappa: float) -> N
 
 @many
 @given(st.floats(1.0, 40.0), st.floats(-0.1, 0.1), st.floats(-1.0, 1.0), st.floats(-0.05, 0.05))
-def test_errors_change_as_geometry_says(v: float, e_psi: float, r: float, kappa: float) -> None:
+def test_errors_change_by_the_kinematics_of_the_path(
+    v: float, e_psi: float, r: float, kappa: float
+) -> None:
     x = np.zeros(STATES + 2)
     x[[V_Y, E_PSI, YAW_RATE]], x[STATES + 1] = (0.3, e_psi, r), kappa
     change = continuous_model(VEHICLE, v, 0.0) @ x

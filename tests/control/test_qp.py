@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, linprog, minimize
 
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.qp import INFEASIBLE, NOT_CONVEX, SOLVED, UNFINISHED, Qp, QpSolution
-from tests.filled import active_set, hildreth_solution
+from ampc_ros.mpc.qp import INFEASIBLE, NOT_CONVEX, SOLVED, UNFINISHED, Qp
+from tests.filled import QpSolution, active_set, hildreth_solution
 
 TWO_SIDED = ("two sides", "equal bounds", "shared slack")
 KINDS = ("plain", "tight", "degenerate", "whole numbers", *TWO_SIDED, "badly scaled")
-"""Random programmes; the last kind is too hard for comparisons to nine digits."""
+"""Random QPs; the last kind is too hard for comparisons to nine digits."""
 Solver = Callable[[Qp], QpSolution]
 
 
@@ -32,12 +32,12 @@ many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def few(n: int) -> int:
-    """Give a number of cases; a tenth where nothing is compiled, which is that much slower."""
+    """Return a number of cases; a tenth without compilation, which is slower."""
     return n // 10 if numba.config.DISABLE_JIT else n  # type: ignore[attr-defined]
 
 
 def random_problem(rng: np.random.Generator, kind: str) -> Qp:
-    """Make a feasible programme of mixed size: rows pass a point x_0 at some distance, or none."""
+    """Create a feasible QP of random size; all rows contain a point x_0, some with equality."""
     n, m = int(rng.integers(1, 9)), int(rng.integers(0, 60))
     B = rng.standard_normal((n, n)) + 0.3 * np.eye(n)
     if kind == "badly scaled":
@@ -48,8 +48,8 @@ def random_problem(rng: np.random.Generator, kind: str) -> Qp:
         M, x_0 = np.rint(M), np.rint(x_0)
     room = rng.uniform(0, 2, m) * (rng.random(m) < (0.2 if kind == "tight" else 0.8))
     if kind == "degenerate" and m > 6:
-        M[1] = 0.0  # says nothing
-        M[2], room[2] = -M[0], 0.0  # with row 0 an equation
+        M[1] = 0.0  # holds everywhere
+        M[2], room[2] = -M[0], 0.0  # an equation together with row 0
         room[0] = 0.0
         M[3], room[3] = 3 * M[4], 3 * room[4]  # twice the same
         M[5], room[5] = M[0] + M[4], room[4]  # follows from two others
@@ -59,12 +59,12 @@ def random_problem(rng: np.random.Generator, kind: str) -> Qp:
 
 
 def upper(E: Array, K: Array, M: Array, gamma: Array) -> Qp:
-    """Give a programme with M x <= gamma, as Eq. (17) prints it."""
+    """Return a QP with M x <= gamma, as Eq. (17) prints it."""
     return Qp(E, K, M, np.full(len(gamma), -np.inf), gamma)
 
 
 def two_sided(rng: np.random.Generator, qp: Qp, value: Array, kind: str) -> Qp:
-    """Give a programme a lower side too, which leaves the point whose rows have these values."""
+    """Return a QP with lower bounds as well, which hold at the point with these row values."""
     m, n = qp.M.shape
     low = value - rng.uniform(0, 2, m) * (rng.random(m) < 0.7)
     if kind == "equal bounds":
@@ -87,14 +87,14 @@ def two_sided(rng: np.random.Generator, qp: Qp, value: Array, kind: str) -> Qp:
 
 
 def excess(value: Array, bound: Array, size: Array) -> Array:
-    """Give how far values lie above their bounds, over their size; -inf where there is no bound."""
+    """Return the relative excess of values over their bounds; -inf without a bound."""
     finite = np.isfinite(bound)
     limit = np.where(finite, bound, 0.0)
     return np.where(finite, (value - limit) / (size + np.abs(limit)), -np.inf)
 
 
 def kuhn_tucker_residual(qp: Qp, solution: QpSolution) -> float:
-    """Give how far Eq. (30) is missed, each line over the size of the numbers that enter it.
+    """Return the residual of Eq. (30), each line relative to the size of its terms.
 
     The sum of the absolute values of a line's terms is that size; for rows, the length of the
     way from the unconstrained minimum to zero in the metric of E is added, on which they act.
@@ -136,8 +136,8 @@ def test_exact_solver_agrees_with_daqp_on_500_random_problems() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS[:-1])
-def test_exact_solver_finds_the_only_set_of_rows_that_works(kind: str) -> None:
-    """Every set of at most n rows is tried as the active one, with Eqs. (28) and (29)."""
+def test_exact_solver_returns_the_solution_of_the_only_valid_active_set(kind: str) -> None:
+    """Every set of at most n rows is tried as the active set, with Eqs. (28) and (29)."""
     rng = np.random.default_rng(3)
     problems = (random_problem(rng, kind) for _ in range(few(2000)))
     for qp in (qp for qp in problems if len(qp.K) <= 3 and len(qp.M) <= 8):
@@ -148,7 +148,7 @@ def test_exact_solver_finds_the_only_set_of_rows_that_works(kind: str) -> None:
 
 
 def points_of_all_active_sets(qp: Qp) -> Iterator[Array]:
-    """Give the points that keep Eq. (30), each side of a row taken as a row of its own."""
+    """Yield the points that satisfy Eq. (30), with each side of a row as a separate row."""
     E, K, sides = qp.E, qp.K, np.append(np.isfinite(qp.high), np.isfinite(qp.low))
     M, gamma = np.vstack((qp.M, -qp.M))[sides], np.append(qp.high, -qp.low)[sides]
     for rows in active_sets(len(gamma), len(K)):
@@ -162,13 +162,13 @@ def points_of_all_active_sets(qp: Qp) -> Iterator[Array]:
 
 
 def active_sets(m: int, n: int) -> Iterator[list[int]]:
-    """Give all sets of at most n of m rows."""
+    """Yield all sets of at most n of m rows."""
     for size in range(min(m, n) + 1):
         yield from map(list, itertools.combinations(range(m), size))
 
 
 @pytest.mark.parametrize(("kind", "digits"), [("plain", 1e-5), ("two sides", 1e-4)])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_exact_solver_agrees_with_scipy(kind: str, digits: float, seed: int) -> None:
     E, K, M, low, high = qp = random_problem(np.random.default_rng(100 + seed), kind)
     options: Any = {"gtol": 1e-10, "xtol": 1e-12, "barrier_tol": 1e-11, "maxiter": 2000}
@@ -196,7 +196,7 @@ def test_scale_of_the_cost_does_not_move_the_minimum(scale: float, seed: int) ->
 
 
 def infeasible_problem(rng: np.random.Generator) -> tuple[Qp, float]:
-    """Make a programme and give the depth at which its rows contradict each other."""
+    """Create an infeasible QP; return it and the smallest violation of its rows."""
     qp = random_problem(rng, "plain")
     m, n = max(len(qp.M), 2), len(qp.K)
     M, gamma = rng.standard_normal((m, n)), rng.standard_normal(m) - rng.uniform(0, 1)
@@ -229,10 +229,10 @@ def test_two_equations_that_contradict_each_other_are_infeasible() -> None:
 
 
 @both_solvers
-@pytest.mark.parametrize("start", [-5.0, 0.0, 5.0])
-def test_row_whose_sides_contradict_each_other_is_infeasible(solver: Solver, start: float) -> None:
+def test_row_whose_sides_contradict_each_other_is_infeasible(solver: Solver) -> None:
     one = np.ones(1)
-    assert solver(Qp(np.eye(1), -start * one, np.eye(1), one, -one)).status == INFEASIBLE
+    for start in (-5.0, 0.0, 5.0):
+        assert solver(Qp(np.eye(1), -start * one, np.eye(1), one, -one)).status == INFEASIBLE
 
 
 def test_row_that_is_violated_as_much_as_one_of_larger_numbers_is_not_passed_over() -> None:
@@ -259,9 +259,7 @@ def test_row_of_zeros_with_a_negative_bound_is_infeasible() -> None:
     ],
     ids=["indefinite", "singular", "flat", "negative"],
 )
-def test_programme_that_is_not_strictly_convex_is_refused(
-    solver: Solver, E: list[list[float]]
-) -> None:
+def test_qp_that_is_not_strictly_convex_is_rejected(solver: Solver, E: list[list[float]]) -> None:
     qp = upper(np.array(E), np.ones(2), np.eye(2), np.ones(2))
     solution = solver(qp)
     assert solution.status == NOT_CONVEX
@@ -275,7 +273,7 @@ def test_numbers_that_are_not_finite_are_never_a_solution(solver: Solver, bad: f
     assert solver(qp).status == UNFINISHED
 
 
-def test_programme_without_rows_is_solved_at_once() -> None:
+def test_qp_without_rows_is_solved_without_iterations() -> None:
     qp = upper(2 * np.eye(2), np.array([2.0, 4.0]), np.zeros((0, 2)), np.zeros(0))
     solution = active_set(qp)
     np.testing.assert_allclose(solution.x, [-1.0, -2.0])
@@ -283,37 +281,36 @@ def test_programme_without_rows_is_solved_at_once() -> None:
 
 
 def disagreement(qp: Qp, one: QpSolution, other: QpSolution) -> float:
-    """Give the distance of two points in the metric of E, over the way from start to zero."""
+    """Return the distance of two points in the metric of E, over the way from start to zero."""
     difference = one.x - other.x
     return float(np.sqrt(difference @ qp.E @ difference / (qp.K @ np.linalg.solve(qp.E, qp.K))))
 
 
-@pytest.mark.parametrize("sweeps", [1, 38, 2000])
 @pytest.mark.parametrize("kind", KINDS)
-def test_hildreth_is_exact_where_it_claims_to_have_converged(kind: str, sweeps: int) -> None:
-    rng = np.random.default_rng(5)
-    claims = 0
-    for _ in range(few(200)):
-        qp = random_problem(rng, kind)
-        solution = hildreth_solution(qp, sweeps, 1e-7)
-        assert solution.iterations <= sweeps
-        if solution.converged:
-            claims += 1
-            assert disagreement(qp, solution, active_set(qp)) < 1e-5
-    rare = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
-    assert claims > (0 if rare else 20) or few(200) < 200
+def test_hildreth_is_exact_if_it_reports_convergence(kind: str) -> None:
+    for sweeps in (1, 38, 2000):
+        rng, converged = np.random.default_rng(5), 0
+        for _ in range(few(200)):
+            qp = random_problem(rng, kind)
+            solution = hildreth_solution(qp, sweeps, 1e-7)
+            assert solution.iterations <= sweeps
+            if solution.converged:
+                converged += 1
+                assert disagreement(qp, solution, active_set(qp)) < 1e-5
+        rare = sweeps == 1 or kind == "shared slack"  # which takes thousands of sweeps
+        assert converged > (0 if rare else 20) or few(200) < 200
 
 
-@pytest.mark.parametrize("sweeps", [1, 38, 2000])
-def test_hildreth_never_claims_to_have_solved_an_infeasible_problem(sweeps: int) -> None:
+def test_hildreth_never_reports_convergence_on_an_infeasible_problem() -> None:
     rng = np.random.default_rng(6)
     for _ in range(few(100)):
         qp, _ = infeasible_problem(rng)
-        assert hildreth_solution(qp, sweeps, 1e-7).status == UNFINISHED
+        for sweeps in (1, 38, 2000):
+            assert hildreth_solution(qp, sweeps, 1e-7).status == UNFINISHED
 
 
 def textbook_sweeps(E: Array, K: Array, M: Array, gamma: Array, sweeps: int) -> Array:
-    """Give the multipliers by Eq. (29) with H = M E^-1 M', one after the other, in numpy."""
+    """Return the multipliers by Eq. (29) with H = M E^-1 M', one after the other, in numpy."""
     H, d = M @ np.linalg.solve(E, M.T), gamma + M @ np.linalg.solve(E, K)
     multipliers = np.zeros(len(gamma))
     for _ in range(sweeps):

@@ -321,7 +321,7 @@ def test_a_simulator_without_peers_ends_in_one_line(capfd: pytest.CaptureFixture
         assert spin_to_the_end(executor) == TIMED_OUT
     fatal = [line for line in capfd.readouterr().err.split("\n") if "FATAL" in line]
     assert len(fatal) == 1
-    assert "nobody publishes /steering_command and /target_speed within 0.3 s" in fatal[0]
+    assert "no publisher of /steering_command and /target_speed within 0.3 s" in fatal[0]
 
 
 @pytest.mark.parametrize("lock_step", ["true", "false"])

@@ -213,7 +213,7 @@ def test_the_simulator_says_whose_answers_the_car_does_without() -> None:
             ros.TARGET_SPEED: ros.Stamped(now_ns + NANOSECONDS, 9.0),
         }
         message = report_of(node).message
-        assert message == "no steering_command for 1.0 s: the car goes on under the last one"
+        assert message.startswith("no steering_command for 1.0 s: ")
 
 
 def test_each_node_tells_its_configuration_to_whoever_comes_late() -> None:

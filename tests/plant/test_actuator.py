@@ -16,7 +16,7 @@ STEP = 0.005
 
 
 def angles(command: float, steps: int, **steering: float) -> list[float]:
-    """Give the road-wheel angle after each integration step under a constant command."""
+    """Return the road-wheel angle after each integration step under a constant command."""
     actuator = SteeringParameters(**{"max_angle": 0.5} | steering)
     car = Car(PAPER._replace(steering=actuator), speed=10.0, step=STEP)
     history = []
@@ -30,7 +30,7 @@ both_sides = pytest.mark.parametrize("command", [0.1, -0.1])
 
 
 @both_sides
-def test_ideal_actuator_is_where_it_is_told_to_be(command: float) -> None:
+def test_ideal_actuator_is_at_its_command(command: float) -> None:
     assert angles(command, 3) == [command] * 3
 
 

@@ -31,15 +31,15 @@ tyres = st.sampled_from([MAGIC, LINEAR])
 many = settings(max_examples=300, deadline=None)
 
 
-@pytest.mark.parametrize("slip", [-0.4, -0.1, -0.01, 0.0, 0.003, 0.05, 0.2, 1.5])
 @pytest.mark.parametrize("load", [500.0, 3311.0, 5200.0])
-def test_force_is_the_magic_formula_of_the_nominal_plant(slip: float, load: float) -> None:
+def test_force_is_the_magic_formula_of_the_nominal_plant(load: float) -> None:
     z = load / 3311.0
     D = 0.9 * load * (1 - 0.1 * (z - 1))
     B = C_ALPHA * 1.25 * z / (1 + z**2 / 4) / (1.5 * D)
-    inner = B * slip + 0.5 * (B * slip - math.atan(B * slip))
-    expected = D * math.sin(1.5 * math.atan(inner))
-    assert lateral_force(slip, load, 0.9, MAGIC) == pytest.approx(expected, rel=1e-9)
+    for slip in (-0.4, -0.1, -0.01, 0.0, 0.003, 0.05, 0.2, 1.5):
+        inner = B * slip + 0.5 * (B * slip - math.atan(B * slip))
+        expected = D * math.sin(1.5 * math.atan(inner))
+        assert lateral_force(slip, load, 0.9, MAGIC) == pytest.approx(expected, rel=1e-9)
 
 
 @many

@@ -15,8 +15,9 @@ from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
 from ampc_msgs_config.types import Array
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import Vehicle, load_vehicle, numbers
+from sim_vehicle.parameters import Vehicle, load_vehicle
 from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, X, Y
+from sim_vehicle.vehicle_row import vehicle_numbers
 from sim_vehicle.wheels import wheel_loads
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
@@ -26,7 +27,7 @@ both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def with_tyre(vehicle: Vehicle, model: str) -> Vehicle:
-    """Give the car on tyres of this model."""
+    """Return the car on tyres of this model."""
     return vehicle._replace(tyre=replace(vehicle.tyre, model=model))
 
 
@@ -43,21 +44,19 @@ def driven(
 
 
 def lane_change(amplitude: float) -> Array:
-    """Give the steering of a double lane change in one sine and back [rad]."""
+    """Return the steering of a double lane change in one sine and back [rad]."""
     time = np.arange(0.0, 6.0, 0.1)
     move = amplitude * np.sin(math.tau * time / 2.0)
     return np.where(time < 2.0, move, np.where((time >= 3.0) & (time < 5.0), -move, 0.0))
 
 
-@both_sides
 @both_cars
-@pytest.mark.parametrize("model", ["pacejka", "linear"])
-@pytest.mark.parametrize("speed", [3.0, 9.0, 15.0, 25.0])
+@pytest.mark.parametrize(("model", "speed"), [("pacejka", 3.0), ("linear", 9.0), ("pacejka", 25.0)])
 def test_steady_yaw_rate_is_that_of_the_understeer_gradient_within_one_percent(
-    vehicle: Vehicle, model: str, speed: float, side: float
+    vehicle: Vehicle, model: str, speed: float
 ) -> None:
     L, K_us = vehicle.chassis.wheelbase, vehicle.chassis.understeer_gradient
-    delta = side * 0.3 * (L / speed**2 + K_us)  # for 0.3 m/s^2
+    delta = 0.3 * (L / speed**2 + K_us)  # for 0.3 m/s^2
     car = Car(with_tyre(vehicle, model), speed=speed)
     v = driven(car, np.full(150, delta), speed=speed)[-1, V_X]
     expected = v * delta / (L + K_us * v**2)
@@ -65,7 +64,7 @@ def test_steady_yaw_rate_is_that_of_the_understeer_gradient_within_one_percent(
 
 
 def bicycle(chassis: ChassisParameters, v: float, sigma: float) -> tuple[Array, Array]:
-    """Give A and B of the linear single-track model; states v_y, r and the lagged slip angles."""
+    """Return A and B of the linear single-track model; states v_y, r and the lagged slip angles."""
     m, I_z, l_f, l_r = (
         chassis.mass,
         chassis.yaw_inertia,
@@ -84,13 +83,10 @@ def bicycle(chassis: ChassisParameters, v: float, sigma: float) -> tuple[Array, 
     return A, np.array([[0.0], [0.0], [v / sigma], [0.0]])
 
 
-@both_sides
 @both_cars
 @pytest.mark.parametrize("speed", [6.0, 15.0, 25.0])
-def test_small_step_response_is_that_of_the_linear_model(
-    vehicle: Vehicle, speed: float, side: float
-) -> None:
-    delta = side * 0.2 * (vehicle.chassis.wheelbase / speed**2 + 0.005)
+def test_small_step_response_is_that_of_the_linear_model(vehicle: Vehicle, speed: float) -> None:
+    delta = 0.2 * (vehicle.chassis.wheelbase / speed**2 + 0.005)
     ideal = vehicle._replace(steering=PAPER.steering)
     states = driven(Car(ideal, speed=speed), np.full(30, delta), speed=speed)
     A, B = bicycle(vehicle.chassis, speed, vehicle.tyre.relaxation_length)
@@ -133,14 +129,14 @@ def test_motion_does_not_depend_on_the_compass() -> None:
 @given(a_x=st.floats(-100.0, 100.0), a_y=st.floats(-100.0, 100.0))
 def test_wheel_loads_are_never_negative_and_carry_the_weight(a_x: float, a_y: float) -> None:
     for vehicle in (PAPER, ORDINARY):
-        car = numbers(vehicle)
+        car = vehicle_numbers(vehicle)
         loads = wheel_loads(a_x, a_y, car.chassis, car.body)
         assert min(loads) >= 0.0
         assert sum(loads) == pytest.approx(vehicle.chassis.mass * GRAVITY)
 
 
 def test_wheel_loads_shift_to_the_outside_of_the_curve_and_forward_under_braking() -> None:
-    car, m = numbers(PAPER), PAPER.chassis.mass
+    car, m = vehicle_numbers(PAPER), PAPER.chassis.mass
     assert wheel_loads(0.0, 0.0, car.chassis, car.body) == pytest.approx(
         [4414.5] * 2 + [3310.9] * 2, abs=0.1
     )
@@ -152,7 +148,7 @@ def test_wheel_loads_shift_to_the_outside_of_the_curve_and_forward_under_braking
 
 
 def test_static_loads_are_the_reference_loads_of_the_tyres() -> None:
-    car = numbers(PAPER)
+    car = vehicle_numbers(PAPER)
     loads = wheel_loads(0.0, 0.0, car.chassis, car.body)
     assert (car.front_tyre[-1], car.rear_tyre[-1]) == pytest.approx((loads[0], loads[2]))
 
@@ -171,7 +167,7 @@ def test_lateral_acceleration_stays_below_the_friction(
 def test_side_wind_of_25_metres_a_second_is_that_of_the_nominal_plant() -> None:
     for side in (1.0, -1.0):
         _, force, moment = air_forces(
-            (0.0, 0.0), (1.0, 0.0), (0.0, 25.0 * side), numbers(PAPER).air
+            (0.0, 0.0), (1.0, 0.0), (0.0, 25.0 * side), vehicle_numbers(PAPER).air
         )
         assert (force, moment) == pytest.approx((1723.0 * side, 603.0 * side), abs=1.0)
 
@@ -181,7 +177,7 @@ def test_side_wind_of_25_metres_a_second_is_that_of_the_nominal_plant() -> None:
 def test_side_force_and_yaw_moment_are_odd_in_the_wind_angle(angle: float, speed: float) -> None:
     def air(direction: float) -> tuple[float, float, float]:
         wind = 20.0 * math.cos(direction), 20.0 * math.sin(direction)
-        return air_forces((speed, 0.0), (1.0, 0.0), wind, numbers(PAPER).air)
+        return air_forces((speed, 0.0), (1.0, 0.0), wind, vehicle_numbers(PAPER).air)
 
     drag, side, moment = air(angle)
     assert air(-angle) == pytest.approx((drag, -side, -moment))
@@ -217,7 +213,7 @@ def test_integration_is_of_fourth_order() -> None:
 
 @both_cars
 @pytest.mark.parametrize("model", ["pacejka", "linear"])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_sliding_car_gains_no_energy_but_what_its_tyres_have_stored(
     vehicle: Vehicle, model: str, seed: int
 ) -> None:
@@ -237,8 +233,9 @@ def test_sliding_car_gains_no_energy_but_what_its_tyres_have_stored(
 
 
 @both_cars
-@pytest.mark.parametrize("speed", [0.0, 0.5, 3.0, 20.0, 40.0, 60.0])
-@pytest.mark.parametrize("friction", [0.05, 1.2])
+@pytest.mark.parametrize(
+    ("speed", "friction"), [(0.0, 0.05), (0.5, 1.2), (20.0, 0.05), (60.0, 1.2)]
+)
 def test_wild_steering_never_breaks_the_simulation(
     vehicle: Vehicle, speed: float, friction: float
 ) -> None:

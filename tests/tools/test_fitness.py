@@ -17,7 +17,7 @@ from launch_scripts.tuning.fitness import (
     NEGLIGIBLE,
     Node,
     combined,
-    drives,
+    drive_gain_sets,
     fitness,
 )
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
@@ -60,7 +60,7 @@ def test_left_and_right_are_equally_hard() -> None:
     assert fitness(right, [TABLE_3])[0] == pytest.approx(fitness(STEP, [TABLE_3])[0], rel=1e-9)
 
 
-def test_a_node_that_asks_for_nothing_is_given_a_small_step() -> None:
+def test_a_node_without_a_lateral_reference_uses_a_small_step() -> None:
     assert fitness(STEP._replace(reference=0.0), [TABLE_3])[0] > 0.01
 
 
@@ -84,7 +84,7 @@ def test_robust_fitness_prefers_hand_set_gains_to_dead_beat_ones_that_win_the_no
 ):
     hand_set = HAND_SET.lookup(9.0).gains
     dead_beat = hand_set._replace(increment_weight=0.01)
-    log = drives(ROBUST, np.array([hand_set, dead_beat], dtype=float))
+    log = drive_gain_sets(ROBUST, np.array([hand_set, dead_beat], dtype=float))
     nominal = np.mean(log[:, 0, :, CROSS_TRACK_ERROR] ** 2, axis=1)
     assert nominal[1] < nominal[0]
     values = fitness(ROBUST, [hand_set, dead_beat])
@@ -94,7 +94,7 @@ def test_robust_fitness_prefers_hand_set_gains_to_dead_beat_ones_that_win_the_no
 def test_robust_fitness_is_what_its_drives_say() -> None:
     row = np.array([HAND_SET.lookup(9.0).gains], dtype=float)
     cost = []
-    for plant, log in zip(PLANTS, drives(ROBUST, row)[0], strict=True):
+    for plant, log in zip(PLANTS, drive_gain_sets(ROBUST, row)[0], strict=True):
         tail = log[90:] if plant.road == "joining" else log[30:]
         increments = 9.0 * 0.1 * np.diff(log[:, 1])
         cost.append(np.mean(tail[:, 0] ** 2) + INCREMENT_WEIGHT * np.mean(increments**2))

@@ -1,7 +1,7 @@
 """A fleet in one compiled call against the same cars driven one by one in Python."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
 
@@ -19,8 +19,9 @@ from ampc_ros.mpc.gain_table import GainTable, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
-from launch_scripts.tuning.fleet_rows import Entry, drive_all, prepare, run
+from launch_scripts.tuning.fleet_rows import Entry, drive_fleet, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation, drive
+from sim_vehicle.measurement import Deviations
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
 
 PAPER = load_vehicle(find("vehicles", "paper"))
@@ -30,7 +31,7 @@ NOISE = load(MeasurementNoise, find("noise", "x1"))
 
 
 def circuit() -> Scenario:
-    """Give two laps of a closed path at a speed over distance."""
+    """Return two laps of a closed path at a speed over distance."""
     angle = np.linspace(0.0, math.tau, 200)
     points = np.column_stack((60 * np.sin(angle), 40 * (1 - np.cos(angle)))).astype(np.float64)
     at = np.array([0.0, 80.0, 200.0, 318.0])
@@ -38,8 +39,8 @@ def circuit() -> Scenario:
     return Scenario("circuit", points, profile, 12.0)
 
 
-def believed(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
-    """Make a controller that knows its car."""
+def controller_of(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
+    """Create a controller with this internal model."""
     if kind == "preview":
         return PreviewMpc(vehicle.chassis, vehicle.steering, SETTINGS, load_gain_table("preview"))
     nominal = 9.0 if kind == "classic" else 0.0
@@ -48,7 +49,7 @@ def believed(kind: str, vehicle: Vehicle) -> PreviewMpc | LateralMpc:
 
 
 def entries(kind: str) -> list[Entry]:
-    """Give cars that differ in road, load, steering, friction, noise and linkage."""
+    """Return cars that differ in road, load, steering, friction, noise and linkage."""
     lagging = PAPER._replace(steering=replace(PAPER.steering, delay=0.13, lag=0.1))
     heavy = PAPER._replace(chassis=replace(PAPER.chassis, mass=1900.0))
     roads = {name: load_scenario(name, PAPER.size) for name in ("sc1", "sc2", "sc3_wind")}
@@ -62,20 +63,24 @@ def entries(kind: str) -> list[Entry]:
     if kind == "preview":
         short.append((lagging, lagging, circuit(), {}, 0.0))
     return [
-        Entry(Simulation(car, road._replace(start_offset=0.3), **options), believed(kind, known), u)
-        for known, car, road, options, u in short
+        Entry(
+            Simulation(car, road._replace(start_offset=0.3), **options),
+            controller_of(kind, model),
+            u,
+        )
+        for model, car, road, options, u in short
     ]
 
 
 class Misaligned:
-    """A controller behind a linkage that adds an angle."""
+    """Controller behind a linkage that adds an angle."""
 
     def __init__(self, entry: Entry) -> None:
-        """Steer as the controller of an entry does."""
+        """Wrap the controller of an entry."""
         self.entry, self.period = entry, entry.controller.period
 
     def step(self, *arguments: object):  # type: ignore[no-untyped-def]
-        """Answer a state."""
+        """Return the command with the angle added."""
         command = self.entry.controller.step(*arguments)  # type: ignore[arg-type]
         return command._replace(steering=command.steering + self.entry.misalignment)
 
@@ -86,13 +91,13 @@ def one_by_one(entry: Entry) -> Drive:
 
 
 def motion(driven: Drive) -> Array:
-    """Give all that was measured (n, 7)."""
+    """Return all that was measured (n, 7)."""
     return np.array(driven.states, dtype=float)
 
 
 @pytest.mark.parametrize("kind", ["preview", "paper", "classic"])
 def test_a_fleet_drives_as_its_cars_do_one_by_one(kind: str) -> None:
-    fleet = drive_all(entries(kind))
+    fleet = drive_fleet(entries(kind))
     for driven, entry in zip(fleet, entries(kind), strict=True):
         alone = one_by_one(entry)
         np.testing.assert_allclose(motion(driven), motion(alone), rtol=0, atol=1e-9)
@@ -101,20 +106,32 @@ def test_a_fleet_drives_as_its_cars_do_one_by_one(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["preview", "paper"])
+def test_every_array_of_a_fleet_has_one_row_per_car(kind: str) -> None:
+    fleet = prepare_fleet(entries(kind)).fleet
+    assert {name: len(rows) for name, rows in fleet._asdict().items()} == dict.fromkeys(
+        fleet._fields, len(entries(kind))
+    )
+
+
+def test_noise_is_packed_in_the_order_in_which_it_is_read() -> None:
+    assert Deviations._fields == tuple(field.name for field in fields(MeasurementNoise))
+
+
+@pytest.mark.parametrize("kind", ["preview", "paper"])
 def test_threads_and_company_change_no_bit(kind: str) -> None:
-    whole = run(prepare(entries(kind)))
-    np.testing.assert_array_equal(run(prepare(entries(kind)), threads=3), whole)
-    alone = run(prepare(entries(kind)[1:2]))[0]
+    whole = run_fleet(prepare_fleet(entries(kind)))
+    np.testing.assert_array_equal(run_fleet(prepare_fleet(entries(kind)), threads=3), whole)
+    alone = run_fleet(prepare_fleet(entries(kind)[1:2]))[0]
     np.testing.assert_array_equal(alone, whole[1, : len(alone)])
 
 
 def test_a_prepared_fleet_can_be_driven_again() -> None:
-    expedition = prepare(entries("preview"))
-    np.testing.assert_array_equal(run(expedition), run(expedition))
+    expedition = prepare_fleet(entries("preview"))
+    np.testing.assert_array_equal(run_fleet(expedition), run_fleet(expedition))
 
 
 def test_a_lost_car_drives_no_farther() -> None:
-    log = run(prepare(entries("preview"), lost=0.2))[0]
+    log = run_fleet(prepare_fleet(entries("preview"), lost=0.2))[0]
     error = log[:, CROSS_TRACK_ERROR]
     assert abs(error[0]) == pytest.approx(0.3, abs=1e-9)
     assert np.isnan(log[1:]).all()
@@ -123,8 +140,10 @@ def test_a_lost_car_drives_no_farther() -> None:
 def test_mirrored_road_and_start_give_the_mirrored_drive() -> None:
     road = load_scenario("sc1", PAPER.size)._replace(start_offset=0.4)
     mirrored = road._replace(points=road.points * (1.0, -1.0), start_offset=-0.4)
-    left, right = run(
-        prepare([Entry(Simulation(PAPER, r), believed("preview", PAPER)) for r in (road, mirrored)])
+    left, right = run_fleet(
+        prepare_fleet(
+            [Entry(Simulation(PAPER, r), controller_of("preview", PAPER)) for r in (road, mirrored)]
+        )
     )
     signs = np.array([-1, -1, 1, 1, -1, -1, 1, -1, -1])
     np.testing.assert_allclose(right, signs * left, rtol=0, atol=1e-9)
@@ -135,7 +154,7 @@ def test_cars_of_one_fleet_may_have_gains_of_their_own() -> None:
     node = load_gain_table("preview").nodes[1]
     tables = [GainTable([9.0], [0.0], [node._replace(increment_weight=R)]) for R in (50.0, 5000.0)]
     cars = [PreviewMpc(PAPER.chassis, PAPER.steering, SETTINGS, table) for table in tables]
-    fleet = drive_all([Entry(Simulation(PAPER, road), controller) for controller in cars])
+    fleet = drive_fleet([Entry(Simulation(PAPER, road), controller) for controller in cars])
     for driven, table in zip(fleet, tables, strict=True):
         controller = PreviewMpc(PAPER.chassis, PAPER.steering, SETTINGS, table)
         alone = drive(Simulation(PAPER, road), controller)
@@ -149,20 +168,20 @@ def test_a_drive_allocates_no_more_the_longer_it_is() -> None:
     allocations = []
     for duration in (0.1, 0.1, 10.0):
         simulation = Simulation(PAPER, road._replace(duration=duration))
-        expedition = prepare([Entry(simulation, believed("preview", PAPER))])
+        expedition = prepare_fleet([Entry(simulation, controller_of("preview", PAPER))])
         before = runtime.rtsys.get_allocation_stats().mi_alloc
-        run(expedition)
+        run_fleet(expedition)
         allocations.append(runtime.rtsys.get_allocation_stats().mi_alloc - before)
     assert allocations[2] == allocations[1]
 
 
 def test_mixed_company_is_refused() -> None:
-    with pytest.raises(ValueError, match="controllers of one kind and period"):
-        prepare([*entries("preview"), *entries("paper")])
+    with pytest.raises(ValueError, match="same formulation, period and step"):
+        prepare_fleet([*entries("preview"), *entries("paper")])
     coarse = make_controller(Choices(gain_table="preview"))
     assert isinstance(coarse, PreviewMpc)
     single = GainTable([9.0], [0.0], [load_gain_table("preview").nodes[1]])
     other = PreviewMpc(PAPER.chassis, PAPER.steering, SETTINGS, single)
     road = load_scenario("sc1", PAPER.size)
-    with pytest.raises(ValueError, match="one grid of gains"):
-        prepare([Entry(Simulation(PAPER, road), c) for c in (coarse, other)])
+    with pytest.raises(ValueError, match="gain grids must be the same"):
+        prepare_fleet([Entry(Simulation(PAPER, road), c) for c in (coarse, other)])

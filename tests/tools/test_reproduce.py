@@ -46,7 +46,7 @@ from launch_scripts.study.search import (
     mean_square,
     swarm_settings,
 )
-from launch_scripts.tuning.fleet_rows import Entry, drive_all
+from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation
 from tests.html_pages import Elements, check_that_no_request_leaves
 
@@ -238,7 +238,7 @@ def test_a_drive_that_was_given_up_counts_to_its_end() -> None:
     scenario = road("sc1", duration=10.0)
     car = plant_vehicle(PLAIN)
     steering = contender("paper", FIXED_SPEED["sc1"], FOUND, PLAIN)
-    (driven,) = drive_all([Entry(Simulation(car, scenario), steering)], lost=0.2)  # type: ignore[arg-type]
+    (driven,) = drive_fleet([Entry(Simulation(car, scenario), steering)], lost=0.2)  # type: ignore[arg-type]
     whole = mean_square(driven, scenario, car.chassis.cg_to_rear_axle, 0.1)
     missing = 100 - len(driven.states)
     assert missing > 0

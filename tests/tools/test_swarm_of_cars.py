@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import astuple, make_dataclass, replace
 from typing import Any, cast
 
 import numba
@@ -15,9 +15,10 @@ from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import Vehicle, flat_numbers, load_vehicle, numbers, numbers_of
-from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, drive
-from sim_vehicle.wheels import turn_wheels
+from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, drive_steps
+from sim_vehicle.vehicle_row import pack_vehicle, unpack_vehicle, vehicle_numbers
+from sim_vehicle.wheels import wheel_forces
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
@@ -42,19 +43,21 @@ def drive_swarm(
     """Drive every car through the control periods from the first to before the last."""
     for k in range(periods[0], periods[1]):
         for i in range(len(states)):
-            command, car = 0.1 * math.sin(0.3 * k + i), numbers_of(flat[i])
+            command, car = 0.1 * math.sin(0.3 * k + i), unpack_vehicle(flat[i])
             queue, friction = queues[i, : int(queues[i, -1])], frictions[i]
             first = k * STEPS
-            drive(states[i], queue, command, 15.0, wind, first, STEPS, friction, STEP, car, work)
+            drive_steps(
+                states[i], queue, command, 15.0, wind, first, STEPS, friction, STEP, car, work
+            )
 
 
 def swarm(cars: tuple[Vehicle, ...]) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Give states, queues (their lengths last), numbers, wind, frictions and scratch."""
+    """Return states, queues (their lengths last), numbers, wind, frictions and scratch."""
     states, queues = np.zeros((len(cars), SIZE)), np.zeros((len(cars), 40))
     states[:, V_X] = 14.0
     queues[:, -1] = [round(car.steering.delay / STEP) for car in cars]
     wind = 8.0 * np.random.default_rng(2).standard_normal((PERIODS * STEPS, 2))
-    flat = np.array([flat_numbers(car) for car in cars])
+    flat = np.array([pack_vehicle(car) for car in cars])
     frictions = np.array([car.tyre.friction for car in cars])
     return states, queues, flat, wind, frictions, np.full(WORK_SIZE, math.nan)
 
@@ -71,7 +74,7 @@ def test_each_car_of_a_swarm_drives_as_a_car_of_its_own_bit_for_bit() -> None:
             assert np.array_equal(states[i], car.state)
 
 
-@pytest.mark.skipif(not isinstance(drive, Dispatcher), reason="nothing is compiled")
+@pytest.mark.skipif(not isinstance(drive_steps, Dispatcher), reason="nothing is compiled")
 def test_control_period_allocates_nothing() -> None:
     arrays = swarm(CARS)
     drive_swarm((0, 1), *arrays)
@@ -103,16 +106,23 @@ def test_state_that_a_car_gave_away_does_not_change_any_more() -> None:
 
 @pytest.mark.parametrize("vehicle", CARS, ids=["paper", "ordinary", "linear"])
 def test_numbers_of_a_car_come_back_from_their_row(vehicle: Vehicle) -> None:
-    row = flat_numbers(vehicle)
-    assert numbers_of(row) == numbers(vehicle)
+    row = pack_vehicle(vehicle)
+    assert unpack_vehicle(row) == vehicle_numbers(vehicle)
     row[:] = np.arange(len(row))
-    assert [x for section in numbers_of(row) for x in section] == row.tolist()
+    assert [x for section in unpack_vehicle(row) for x in section] == row.tolist()
 
 
-@pytest.mark.skipif(not isinstance(turn_wheels, Dispatcher), reason="nothing is compiled")
+def test_a_field_inserted_in_one_section_only_is_rejected() -> None:
+    body = make_dataclass("Longer", [*vars(PAPER.body), "pitch_stiffness"])
+    longer = PAPER._replace(body=body(*astuple(PAPER.body), 1.0))
+    with pytest.raises(ValueError, match=r"vehicle row: .* 10, 15, .* 10, 14,"):
+        pack_vehicle(longer)
+
+
+@pytest.mark.skipif(not isinstance(wheel_forces, Dispatcher), reason="nothing is compiled")
 def test_loop_over_the_wheels_becomes_simd_code() -> None:
     compiler: Any = numba.njit(error_model="numpy")
-    loop = compiler(cast(Any, turn_wheels).py_func)
+    loop = compiler(cast(Any, wheel_forces).py_func)
     work, road, stage = np.ones(WORK_SIZE), (0.9, STEP), (0.0, 1.0)
     loop(work, (14.0, 0.1, 0.1), (4e3, 4e3, 3e3, 3e3), (100.0, 0.0), road, stage)
     (code,) = loop.inspect_llvm().values()

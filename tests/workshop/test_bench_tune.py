@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from launch_scripts.tuning.fleet_rows import run
+from launch_scripts.tuning.fleet_rows import run_fleet
 from tests.workshop.bench.bench_tune import BASE, SIZES, exponents, generation, main
 
 
@@ -16,7 +16,7 @@ def test_a_generation_drives_as_many_ticks_as_its_sizes_say(axis: str) -> None:
         driven = sum(int(e.fleet.ticks.sum()) for e in generation(sizes))
         expected = sizes["nodes"] * sizes["particles"] * sizes["plants"] * sizes["ticks"]
         assert driven == expected
-    log = run(generation(small)[0])
+    log = run_fleet(generation(small)[0])
     assert log.shape[:2] == (small["particles"] * small["plants"], small["ticks"])
 
 

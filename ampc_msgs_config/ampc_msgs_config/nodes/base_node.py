@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.compiled import announced
+from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -201,7 +201,7 @@ def _init() -> None:
 def _made(make_node: Callable[[], BaseNode]) -> BaseNode:
     """Make a node, and say so where it has to compile: the class `PlannerNode` is the planner."""
     name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
-    with announced(name, get_logger(name).info):
+    with log_compilation(name, get_logger(name).info):
         return make_node()
 
 

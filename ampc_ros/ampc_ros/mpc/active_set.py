@@ -1,10 +1,11 @@
-"""The exact solver: Goldfarb and Idnani's dual active-set method (1983)."""
+"""Exact QP solver: the dual active-set method of Goldfarb and Idnani (1983).
+
+A library (DAQP) is not used because the solver must run inside compiled code without Python's
+global lock. The tests compare it with DAQP and SciPy.
+"""
 
 import math
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.types import Array
@@ -14,7 +15,6 @@ from ampc_ros.mpc.qp import (
     UNFINISHED,
     NearestPoint,
     Qp,
-    QpSolution,
     nearest_point,
     unit_row,
 )
@@ -23,39 +23,38 @@ from ampc_ros.mpc.small_matrices import (
     backward,
     dot,
     forward,
-    make_scratch,
     matrix,
     project_out,
     vector,
 )
 
 TOLERANCE = 1e-11
-"""Violation of a row that counts as none, as a share of the size of the numbers in it."""
+"""Accepted violation of a row, relative to the order of magnitude of its numbers."""
 
 DEPENDENT = 1e-18
-"""Squared distance of a unit row from the span of the active ones that counts as none."""
+"""Squared distance of a unit row from the span of the active ones below which it is dependent."""
 
 MAX_ENTRIES = 500
-"""Rows that may enter the working set before the solver gives up."""
+"""Largest number of rows that enter the working set before the solver stops."""
 
 
 class ActiveRows(NamedTuple):
-    """Working set of k <= n rows; place k is that of the row which wants to enter."""
+    """Working set of k <= n rows; position k belongs to the entering row."""
 
     size: Array
     """(1,) k."""
     chosen: Array
-    """(n + 1,) index of the row."""
+    """(n + 1,) indices of the rows in the QP."""
     holds: Array
-    """(m,) whether a row is in the set."""
+    """(m,) 1 for each row of the QP that is in the set."""
     side: Array
-    """(n + 1,) 1: it holds at its upper bound, -1: at its lower one."""
+    """(n + 1,) 1: upper bound active, -1: lower bound active."""
     rows: Array
     """(n + 1, n) side * row C^-1', scaled to unit length."""
     bounds: Array
-    """(n + 1,) of rows w."""
+    """(n + 1,) bounds of rows w."""
     lengths: Array
-    """(n + 1,) of the rows before they were scaled."""
+    """(n + 1,) lengths of the rows before scaling."""
     multipliers: Array
     """(n + 1,)."""
     basis: Array
@@ -63,52 +62,21 @@ class ActiveRows(NamedTuple):
     S: Array
     """(n, n) lower triangular: active rows = S basis."""
     coordinates: Array
-    """(n,) of the last vector that was parted, in the basis."""
+    """(n,) coordinates in the basis of the last vector that was split."""
     rest: Array
-    """(n,) of that vector."""
+    """(n,) part of that vector orthogonal to the basis."""
     held: Array
     """(n,) auxiliary."""
 
 
-def solution_of(qp: Qp) -> QpSolution:
-    """Solve a programme with `active_set`, in memory of its own."""
-    memory = solver_memory(*qp.M.shape)
-    iterations, status = solve_in(tuple(qp), memory)
-    return QpSolution(memory[0], memory[1], iterations, status)
-
-
-def solver_memory(m: int, n: int) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Make what `solve_in` needs for m rows of n unknowns; x and the multipliers come first."""
-    return np.zeros(n), np.zeros(m), *make_scratch(solver_numbers(m, n))
-
-
-@in_place
-def solve_in(
-    programme: tuple[Array, ...], memory: tuple[Array, Array, Array, NDArray[np.int64]]
-) -> tuple[int, int]:
-    """Call `active_set` from Python: plain tuples, whose type numba knows at once.
-
-    Args:
-        programme: The fields of a Qp.
-        memory: Of `solver_memory`; it may be used again.
-
-    Returns:
-        How many rows entered, and the status.
-    """
-    x, multipliers, numbers, used = memory
-    for i in range(len(multipliers)):
-        multipliers[i] = 0.0
-    return active_set(Qp(*programme), x, multipliers, Scratch(numbers, used))
-
-
-def solver_numbers(m: int, n: int) -> int:
-    """Give the scratch memory that `active_set` needs for m rows of n unknowns."""
+def active_set_numbers(m: int, n: int) -> int:
+    """Return the size of the scratch memory of `active_set` for m rows of n unknowns."""
     return m + 4 * n * n + 20 * n + 10
 
 
 @inlined
 def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
-    """Give an empty working set for m rows of n unknowns."""
+    """Allocate an empty working set for m rows of n unknowns."""
     return ActiveRows(
         vector(scratch, 1),
         vector(scratch, n + 1),
@@ -128,9 +96,10 @@ def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
 
 @in_place
 def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float, last: int) -> tuple[float, int]:
-    """Largest violation and its row, of x (n,) and the rows that do not hold (m,).
+    """Return the largest violation by x (n,) among the inactive rows, and its row.
 
-    Only rows below a ceiling count, and those that reach it if they come after the last one.
+    Only violations below a ceiling are considered, or equal to it in a row after `last`. Repeated
+    calls therefore list the violated rows in descending order. The row is -1 if there is none.
     """
     worst, row = 0.0, -1
     for i in range(len(qp.low)):
@@ -143,8 +112,8 @@ def worst_excess(qp: Qp, x: Array, holds: Array, ceiling: float, last: int) -> t
 
 
 @inlined
-def pick_up(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array) -> bool:
-    """Put the row that x (n,) violates most into the place of the one to enter, if there is one."""
+def choose_entering_row(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array) -> bool:
+    """Store the row that x (n,) violates most as the entering row; return whether there is one."""
     k, excess, i = int(active.size[0]), math.inf, -1
     unit = active.rows[k]
     while True:
@@ -162,7 +131,7 @@ def pick_up(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array) -> bool:
 
 @inlined
 def orthonormalise(active: ActiveRows, first: int) -> None:
-    """Bring basis and S of the active rows from `first` on up to date."""
+    """Update basis and S for the active rows from `first` on."""
     for i in range(first, int(active.size[0])):
         rest = active.basis[i]
         project_out(active.rows[i], active.basis, i, active.S[i], rest)
@@ -173,8 +142,8 @@ def orthonormalise(active: ActiveRows, first: int) -> None:
 
 
 @inlined
-def extend(active: ActiveRows, length: float) -> None:
-    """Take the row in that was parted last, and whose rest has this length."""
+def append_row(active: ActiveRows, length: float) -> None:
+    """Append the entering row, which was split last and whose rest has this length."""
     k = int(active.size[0])
     for i in range(k):
         active.S[k, i] = active.coordinates[i]
@@ -186,8 +155,8 @@ def extend(active: ActiveRows, length: float) -> None:
 
 
 @inlined
-def drop(active: ActiveRows, blocking: int) -> None:
-    """Take a row out of the working set; the one that wants to enter moves up with the others."""
+def remove_row(active: ActiveRows, blocking: int) -> None:
+    """Remove a row from the working set; later rows and the entering one move up."""
     active.size[0] -= 1
     active.holds[int(active.chosen[blocking])] = 0.0
     for i in range(blocking, int(active.size[0]) + 1):
@@ -201,7 +170,7 @@ def drop(active: ActiveRows, blocking: int) -> None:
 
 @in_place
 def longest_step(falling: Array, multipliers: Array, k: int) -> tuple[float, int]:
-    """Step at which the first of k multipliers reaches zero while each falls at its rate."""
+    """Return the step at which the first of k falling multipliers is zero, and its position."""
     step, blocking = math.inf, -1
     for i in range(k):
         if falling[i] > 0.0 and multipliers[i] < step * falling[i]:
@@ -211,13 +180,12 @@ def longest_step(falling: Array, multipliers: Array, k: int) -> tuple[float, int
 
 @inlined
 def enter(active: ActiveRows, w: Array) -> bool:
-    """Let the row in that was picked up; rows that are in its way leave.
+    """Append the entering row; remove rows whose multiplier would become negative.
 
-    A row is in the way if its multiplier would turn negative. The multipliers and w (n,), changed
-    in place, are those of the way there: see `settle`.
+    Multipliers and w (n,) are changed in place along the way; `settle` recomputes them afterwards.
 
     Returns:
-        Whether there is a point that keeps these rows.
+        Whether a point satisfies these rows.
     """
     while True:
         k = int(active.size[0])
@@ -229,7 +197,7 @@ def enter(active: ActiveRows, w: Array) -> bool:
         excess = max(dot(row, w) - active.bounds[k], 0.0)
         primal_step = excess / slope if slope > DEPENDENT and k < len(w) else math.inf
         if primal_step <= dual_step and primal_step < math.inf:
-            extend(active, math.sqrt(slope))
+            append_row(active, math.sqrt(slope))
             return True
         if blocking < 0:
             return False
@@ -237,15 +205,15 @@ def enter(active: ActiveRows, w: Array) -> bool:
             active.multipliers[i] -= dual_step * falling[i]
         for j in range(len(w)):
             w[j] -= dual_step * rest[j]
-        drop(active, blocking)
+        remove_row(active, blocking)
 
 
 @inlined
 def settle(start: Array, active: ActiveRows, w: Array) -> None:
-    """Put w (n,) where the active rows hold, nearest to the start; set the multipliers of this.
+    """Compute the point w (n,) nearest to `start` on the active rows, and the multipliers.
 
     Note:
-        Computed from the start each time, so that no rounding error of earlier changes stays.
+        The computation begins at `start` each time, so that rounding errors do not accumulate.
     """
     k = int(active.size[0])
     forward(active.S, active.bounds, k, active.held)
@@ -262,25 +230,25 @@ def settle(start: Array, active: ActiveRows, w: Array) -> None:
 
 @in_place
 def active_set(qp: Qp, x: Array, multipliers: Array, scratch: Scratch) -> tuple[int, int]:
-    """Solve a strictly convex programme exactly, or say why not.
+    """Solve a strictly convex QP exactly, or return the reason for the failure as the status.
 
-    Starts at the unconstrained minimum and lets the most violated row in until none is violated.
+    Start at the unconstrained minimum and add the most violated row until none is violated.
 
     Args:
-        qp: The programme.
+        qp: The QP.
         x: Receives the minimiser (n,).
         multipliers: Receives lambda (m,), zeros before.
-        scratch: At least `solver_numbers(m, n)` free.
+        scratch: At least `active_set_numbers(m, n)` free numbers.
 
     Returns:
-        How many rows entered, and the status.
+        Number of rows that entered, and the status.
     """
     begin, n, entered = scratch.used[0], len(qp.K), 0
     task = nearest_point(qp, scratch)
     active, w, status = no_active_rows(len(qp.low), n, scratch), vector(scratch, n), task.status
     settle(task.start, active, w)
     backward(task.C, w, n, x)
-    while status == SOLVED and pick_up(qp, task, active, x):
+    while status == SOLVED and choose_entering_row(qp, task, active, x):
         feasible = enter(active, w)
         entered += 1
         settle(task.start, active, w)

@@ -1,4 +1,4 @@
-"""Bounds on increment, angle and output as rows of low <= M eta <= high: Eqs. (13)-(16)."""
+"""Bounds on increment, angle and output as rows of low <= M eta <= high, Eqs. (13)-(16)."""
 
 import math
 
@@ -7,12 +7,14 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import Qp
 
 FIRST_OUTPUT_STEP = 5
-"""The output cannot answer earlier: rows before this step would only fight the past [ticks]."""
+"""First step whose output is bounded [ticks].
+
+The output cannot react earlier, so earlier rows could not be influenced."""
 
 
 @in_place
 def running_sum(L: Array, S: Array) -> None:
-    """Fill S: row i is L(0) + .. + L(i), the angle that the increments add up to, (N_c, N)."""
+    """Fill S (N_c, N): row i is L(0) + .. + L(i), so that S(i) eta is the change of the angle."""
     for j in range(L.shape[1]):
         total = 0.0
         for i in range(len(L)):
@@ -22,7 +24,7 @@ def running_sum(L: Array, S: Array) -> None:
 
 @in_place
 def output_steps(N_p: int, N_c: int, half_width: float) -> int:
-    """Number of steps whose output is bounded: the fifth to N_c; none without a bound."""
+    """Return the number of bounded output steps: the fifth to N_c, or 0 without a bound."""
     if not math.isfinite(half_width):
         return 0
     return max(min(N_c, N_p) - (FIRST_OUTPUT_STEP - 1), 0)
@@ -30,20 +32,20 @@ def output_steps(N_p: int, N_c: int, half_width: float) -> int:
 
 @in_place
 def row_count(N_c: int, bounded_outputs: int) -> int:
-    """Number of rows: increments, angles, two for an output, one for the slack if it is there."""
+    """Return the number of rows: increments, angles, two per bounded output, one for the slack."""
     return 2 * N_c + (2 * bounded_outputs + 1 if bounded_outputs > 0 else 0)
 
 
 @in_place
 def input_rows(qp: Qp, L: Array, S: Array, u: float, bounds: tuple[float, float]) -> None:
-    """Fill increment and angle bounds over the control horizon, Eqs. (13), (14): 2 N_c rows.
+    """Fill the bounds of increment and angle over the control horizon, Eqs. (13), (14): 2 N_c rows.
 
     Args:
         qp: Its first rows are filled.
         L: Laguerre functions (N_c, N).
         S: Their running sum (N_c, N).
-        u: Angle in force, u(k - 1), taken inside its bound so that no row is infeasible [rad].
-        bounds: Of the increment per tick and of the angle [rad].
+        u: Angle in force, u(k - 1); it is clipped to its bound so that the rows are feasible [rad].
+        bounds: Bounds of the increment per tick and of the angle [rad].
     """
     Delta_u_max, u_max = bounds
     held = min(max(u, -u_max), u_max)
@@ -56,14 +58,14 @@ def input_rows(qp: Qp, L: Array, S: Array, u: float, bounds: tuple[float, float]
 
 @in_place
 def output_rows(qp: Qp, first: int, Phi: Array, error: Array, half_width: float) -> None:
-    """Fill |y - r| <= half_width + slack, Eq. (15): from the fifth step on, then slack >= 0.
+    """Fill |y - r| <= half_width + slack, Eq. (15), from the fifth step on, and slack >= 0.
 
     Args:
         qp: Its rows from `first` to the end are filled; the slack is its last unknown.
-        first: Number of rows before.
+        first: Number of preceding rows.
         Phi: Forced response, transposed (N, N_p).
         error: R_s - F x (N_p,) [m].
-        half_width: Of the lane about the reference [m].
+        half_width: Half width of the lane about the reference [m].
     """
     last, N = len(qp.low) - 1, len(Phi)
     for at in range(first, last, 2):

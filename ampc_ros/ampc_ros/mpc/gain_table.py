@@ -16,9 +16,9 @@ from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import Checked, described, hints, number
 
 NONE = -1
-"""Index before any node is in use."""
+"""Node in use before the first lookup."""
 HYSTERESIS = 0.1
-"""Share of the distance between two nodes by which another must be nearer to replace one."""
+"""Share of the distance between two nodes by which another one must be nearer to be used."""
 
 
 class Gains(NamedTuple):
@@ -108,14 +108,14 @@ class GainTableFile(Checked):
 
 
 class Table(NamedTuple):
-    """Gain table for compiled code."""
+    """Gain table as arrays, for compiled code."""
 
     speeds: Array
     """(n,) increasing [m/s]."""
     references: Array
     """(m,) lateral references, increasing [m]."""
     nodes: Array
-    """(n m, 6) gains, the references fastest."""
+    """(n m, 6) gains; the reference index varies fastest."""
 
 
 class Lookup(NamedTuple):
@@ -123,28 +123,28 @@ class Lookup(NamedTuple):
 
     gains: Gains
     outside: bool
-    """Whether speed or reference lies outside the grid, where the nearest edge is used."""
+    """Whether speed or reference lie outside the grid; the nearest edge was used."""
 
 
 @in_place
 def look_up(table: Table, in_use: Array, speed: float, reference: float) -> tuple[Gains, bool]:
-    """Return the gains at a speed and a lateral reference.
+    """Interpolate the gains at a speed and a lateral reference.
 
     Integers come from the nearest node, with hysteresis. Weights are interpolated in the logarithm,
-    the pole linearly. Outside the grid the edge is used. The gains of an axis with one node hold
-    everywhere.
+    the pole linearly. Outside the grid the nearest edge is used. The gains of an axis with a single
+    node hold everywhere.
 
     Args:
         table: The grid.
         in_use: (2,) indices of the node in use on the two axes, NONE at first; changed in place.
-        speed: Speed [m/s].
-        reference: Lateral reference [m].
+        speed: [m/s].
+        reference: [m].
 
     Returns:
-        The gains, and whether the operating point lies outside an axis.
+        The gains, and whether speed or reference lie outside the grid.
     """
     speeds, references, nodes = table
-    outside = left(speeds, speed) or left(references, reference)
+    outside = is_outside(speeds, speed) or is_outside(references, reference)
     in_use[0] = nearest_node(speeds, speed, int(in_use[0]))
     in_use[1] = nearest_node(references, reference, int(in_use[1]))
     node = nodes[int(in_use[0]) * len(references) + int(in_use[1])]
@@ -166,14 +166,14 @@ def look_up(table: Table, in_use: Array, speed: float, reference: float) -> tupl
 
 
 @in_place
-def left(axis: Array, place: float) -> bool:
-    """Return whether a place lies beyond the ends of an axis with more than one node."""
+def is_outside(axis: Array, place: float) -> bool:
+    """Return whether a value lies beyond the ends of an axis; never for an axis of one node."""
     return len(axis) > 1 and not axis[0] <= place <= axis[len(axis) - 1]
 
 
 @in_place
 def nearest_node(axis: Array, place: float, current: int) -> int:
-    """Return the index of the nearest node, or `current` unless another is clearly nearer."""
+    """Return the index of the nearest node; `current` stays unless another is clearly nearer."""
     best = 0
     for i in range(1, len(axis)):
         if abs(axis[i] - place) < abs(axis[best] - place):
@@ -186,7 +186,7 @@ def nearest_node(axis: Array, place: float, current: int) -> int:
 
 @in_place
 def bracket(axis: Array, place: float) -> tuple[int, float]:
-    """Return the node at or below a place on an axis, and its distance as a share to the next."""
+    """Return the node at or below a value, and the relative distance to the next node."""
     last = len(axis) - 1
     if last == 0 or not place > axis[0]:
         return 0, 0.0
@@ -197,10 +197,10 @@ def bracket(axis: Array, place: float) -> tuple[int, float]:
 
 
 class GainTable:
-    """Grid of gains, with the node in use as state, so that integers do not chatter."""
+    """Grid of gains with the node in use, whose hysteresis keeps the integers from chattering."""
 
     def __init__(self, speeds: list[float], references: list[float], nodes: list[Gains]) -> None:
-        """Arrange `nodes` over speeds [m/s] x lateral references [m], the references fastest."""
+        """Arrange `nodes` over speeds [m/s] x lateral references [m]; references vary fastest."""
         axes = np.array(speeds, dtype=float), np.array(references, dtype=float)
         self.table = Table(*axes, np.array(nodes, dtype=float))
         self.nodes = nodes
@@ -211,7 +211,7 @@ class GainTable:
         return Lookup(*look_up(self.table, self.in_use, speed, reference))
 
     def reset(self) -> None:
-        """Forget the node in use."""
+        """Reset the node in use."""
         self.in_use: Array = np.full(2, float(NONE))
 
 

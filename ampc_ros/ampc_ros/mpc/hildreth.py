@@ -1,4 +1,8 @@
-"""Hildreth's quadratic programming procedure, the paper's solver: Eqs. (25)-(30)."""
+"""Hildreth's quadratic programming procedure, Eqs. (25)-(30): the solver of the paper.
+
+A library (DAQP) is not used because the solver must run inside compiled code without Python's
+global lock, and because the paper uses this procedure.
+"""
 
 from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.types import Array
@@ -6,7 +10,7 @@ from ampc_ros.mpc.qp import SOLVED, UNFINISHED, NearestPoint, Qp, nearest_point,
 from ampc_ros.mpc.small_matrices import Scratch, backward, dot, matrix, vector
 
 KUHN_TUCKER = 1e-10
-"""How far Eq. (30) may be missed, as a share of the size of the numbers in the problem."""
+"""Tolerance of Eq. (30), relative to the order of magnitude of the numbers in the problem."""
 
 
 @in_place
@@ -16,19 +20,19 @@ def hildreth(
     """Solve by Gauss-Seidel sweeps over the multipliers, from the unconstrained minimum.
 
     Args:
-        qp: The programme.
-        sweeps: How many at most (the authors: 38), and the squared change of the multipliers in
-            one that ends the search (1e-7).
+        qp: The QP.
+        sweeps: Largest number of sweeps (the authors: 38), and the squared change of the
+            multipliers in a sweep that ends the search (1e-7).
         x: Receives the minimiser (n,).
         multipliers: Receives lambda (m,), zeros before.
-        scratch: At least `hildreth_numbers(m, n)` free.
+        scratch: At least `hildreth_numbers(m, n)` free numbers.
 
     Returns:
-        How many sweeps it took, and the status.
+        Number of sweeps, and the status.
 
     Note:
-        A small change does not prove convergence: unless the Kuhn-Tucker conditions of Eq. (30)
-        hold as well, the sweeps go on, and in the end the solution is UNFINISHED.
+        A small change does not prove convergence. The sweeps continue until the Kuhn-Tucker
+        conditions of Eq. (30) hold as well; otherwise the solution is UNFINISHED.
     """
     begin, n, done = scratch.used[0], len(qp.K), 0
     task, w = nearest_point(qp, scratch), vector(scratch, n)
@@ -51,15 +55,15 @@ def hildreth(
 
 
 def hildreth_numbers(m: int, n: int) -> int:
-    """Give the scratch memory that `hildreth` needs for m rows of n unknowns."""
+    """Return the size of the scratch memory of `hildreth` for m rows of n unknowns."""
     return (m + n + 2) * (n + 1)
 
 
 @in_place
 def sweep(qp: Qp, rows: Array, lengths: Array, multipliers: Array, w: Array) -> float:
-    """Improve each multiplier once, and w with it, in place, Eq. (29); gives the squared change.
+    """Improve each multiplier once, and w with it, in place, Eq. (29); return the squared change.
 
-    A row of two sides has one multiplier, which is negative where the lower one pushes.
+    A two-sided row has one multiplier, which is negative if its lower bound is active.
     """
     change = 0.0
     for i in range(len(multipliers)):
@@ -78,7 +82,7 @@ def sweep(qp: Qp, rows: Array, lengths: Array, multipliers: Array, w: Array) -> 
 def kuhn_tucker_hold(
     qp: Qp, task: NearestPoint, rows: Array, lengths: Array, multipliers: Array, w: Array
 ) -> bool:
-    """Whether rows are kept, and those with a multiplier hold with equality, Eq. (30)."""
+    """Return whether all rows hold, and those with a multiplier hold with equality, Eq. (30)."""
     for i in range(len(multipliers)):
         value, high, low = dot(rows[i], w), qp.high[i] / lengths[i], qp.low[i] / lengths[i]
         excess, bound = max(value - high, low - value), high if value > high else low

@@ -1,4 +1,4 @@
-"""What a controller believes and may do, as one row of numbers: a swarm of them is a matrix."""
+"""Internal model and limits of a controller, also as a row of numbers: a fleet is a matrix."""
 
 from dataclasses import astuple
 from typing import NamedTuple
@@ -20,18 +20,26 @@ class Limits(NamedTuple):
     """Period, bounds and solver of one step."""
 
     T: float
+    """Period [s]."""
     Delta_u_max: float
+    """Largest increment of the angle per tick [rad]."""
     u_max: float
+    """Largest angle [rad]."""
     half_width: float
+    """Half width of the soft lane about the reference; infinite: no output rows [m]."""
     slack_weight: float
     exact: bool
+    """Whether the active-set method is used; otherwise Hildreth's procedure."""
     sweeps: int
+    """Largest number of Hildreth sweeps."""
     tolerance: float
+    """Squared change of Hildreth's multipliers that ends the sweeps."""
     mu_g: float
+    """Friction coefficient times gravity [m/s^2]."""
 
 
 class Actuator(NamedTuple):
-    """Steering actuator as the controller believes it to be: delay = (ticks + share) T."""
+    """Steering actuator of the internal model: delay = (ticks + share) T."""
 
     ticks: int
     share: float
@@ -40,72 +48,88 @@ class Actuator(NamedTuple):
 
 
 class InternalModel(NamedTuple):
-    """All of it."""
+    """Everything that a controller assumes about its car."""
 
     vehicle: Vehicle
     limits: Limits
     actuator: Actuator
     to_cg: float
-    """From the point that `odom` describes forward to the centre of gravity [m]."""
+    """Distance from the point that `odom` describes forward to the centre of gravity [m]."""
     nominal_speed: float
-    """Of a model that does not adapt; 0: the model follows the measured speed [m/s]."""
+    """Speed of a model that does not adapt; 0: the model follows the measured speed [m/s]."""
 
 
-def internal_model_row(
+ROW_SIZE = 20
+"""Numbers in the row of an internal model: see `unpack_internal_model`."""
+
+
+def pack_internal_model(
     chassis: ChassisParameters,
     settings: ControllerSettings,
     steering: SteeringParameters | None = None,
     base_link_to_cg: float | None = None,
 ) -> Array:
-    """Give the numbers of a controller (20,); see `believed`.
+    """Return the row of numbers (ROW_SIZE,) of a controller's internal model.
 
     Args:
-        chassis: The car as the controller believes it to be.
+        chassis: Chassis of the internal model.
         settings: Limits and solver.
-        steering: Its actuator, whose limits count as well; None: without delay, lag and limits.
-        base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
-            [m]; None: `odom` describes the rear axle.
+        steering: Steering actuator, whose limits apply as well; None: no delay, lag or limits.
+        base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
+            gravity [m]; None: `odom` describes the rear axle.
     """
     actuator = actuator_of(steering, settings.sample_time) if steering else Actuator(0, 0.0, 0.0)
     to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
     limits = limits_of(settings, steering)
-    return np.array(
-        [*astuple(chassis), *limits, *actuator, to_cg, settings.nominal_speed], dtype=float
-    )
+    row = [*astuple(chassis), *limits, *actuator, to_cg, settings.nominal_speed]
+    if len(row) != ROW_SIZE:
+        raise ValueError(f"internal model: {len(row)} numbers, the row has {ROW_SIZE}")
+    return np.array(row, dtype=float)
 
 
 @in_place
-def believed(row: Array) -> InternalModel:
-    """Read a row of numbers (20,)."""
-    vehicle = (row[0], row[1], row[2], row[3], row[4], row[5])
-    bounds = row[6], row[7], row[8], row[9], row[10]
-    limits = Limits(*bounds, row[11] > 0.0, int(row[12]), row[13], row[14])
+def unpack_internal_model(row: Array) -> InternalModel:
+    """Return the internal model of a row of numbers (ROW_SIZE,)."""
     return InternalModel(
-        vehicle, limits, Actuator(int(row[15]), row[16], row[17]), row[18], row[19]
+        vehicle=(row[0], row[1], row[2], row[3], row[4], row[5]),
+        limits=Limits(
+            T=row[6],
+            Delta_u_max=row[7],
+            u_max=row[8],
+            half_width=row[9],
+            slack_weight=row[10],
+            exact=row[11] > 0.0,
+            sweeps=int(row[12]),
+            tolerance=row[13],
+            mu_g=row[14],
+        ),
+        actuator=Actuator(ticks=int(row[15]), share=row[16], lag=row[17]),
+        to_cg=row[18],
+        nominal_speed=row[19],
     )
 
 
 def limits_of(settings: ControllerSettings, steering: SteeringParameters | None = None) -> Limits:
-    """Give the settings as compiled code takes them, within what the steering can do."""
+    """Return the limits of the settings, reduced to what the steering can do."""
     step, angle = settings.max_increment, settings.max_angle
     if steering is not None:
         step = min(step, steering.max_rate * settings.sample_time)
         angle = min(angle, steering.max_angle)
     return Limits(
-        settings.sample_time,
-        step,
-        angle,
-        settings.max_output_error,
-        settings.slack_weight,
-        settings.solver == "active_set",
-        int(settings.hildreth_sweeps),
-        settings.hildreth_tolerance,
-        settings.friction * GRAVITY,
+        T=settings.sample_time,
+        Delta_u_max=step,
+        u_max=angle,
+        half_width=settings.max_output_error,
+        slack_weight=settings.slack_weight,
+        exact=settings.solver == "active_set",
+        sweeps=int(settings.hildreth_sweeps),
+        tolerance=settings.hildreth_tolerance,
+        mu_g=settings.friction * GRAVITY,
     )
 
 
 def actuator_of(steering: SteeringParameters, T: float) -> Actuator:
-    """Give an actuator as whole ticks and a share of a tick of T [s] of delay, and its lag."""
+    """Return an actuator whose delay is split into whole ticks and a share of a tick of T [s]."""
     ticks, share = divmod(steering.delay / T, 1.0)
     if share > 1.0 - 1e-6:
         ticks, share = ticks + 1.0, 0.0

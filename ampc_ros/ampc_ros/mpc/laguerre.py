@@ -8,14 +8,14 @@ from ampc_msgs_config.types import Array
 
 @in_place
 def laguerre_sequence(alpha: float, L: Array) -> None:
-    """Fill L(0)' .. L(steps - 1)' as rows, (steps, N): Delta u(k + i) = row i times eta, Eq. (24).
+    """Fill the rows L(0)' .. L(steps - 1)': Delta u(k + i) = L(i)' eta, Eq. (24).
 
-    Each function is the one before it through the all-pass (z^-1 - alpha) / (1 - alpha z^-1) of
-    Eq. (22), which is the network (23) without its matrix.
+    Each function is the previous one filtered by the all-pass (z^-1 - alpha) / (1 - alpha z^-1) of
+    Eq. (22). This recursion is the network (23) without its matrix.
 
     Args:
         alpha: Pole (scale factor), 0 <= alpha < 1.
-        L: Receives the functions; its shape says how many.
+        L: Receives the functions, (steps, N).
 
     Note:
         Eq. (24) prints i = 1 .. N_c. The move applied now is L(0)' eta, so i = 0 .. N_c - 1.

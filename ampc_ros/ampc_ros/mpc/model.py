@@ -1,7 +1,7 @@
-"""What the controller believes of the car: bicycle model, Eqs. (1)-(9).
+"""Bicycle model of the controller, Eqs. (1)-(9).
 
-State [v_y, yaw, yaw rate, Y, delta]: the paper's four, and the road-wheel angle of a steering that
-lags; without a lag it is not used.
+State [v_y, yaw, yaw rate, Y, delta]: the four states of the paper and the road-wheel angle of a
+steering with lag. Without a lag the fifth state is unused.
 """
 
 from ampc_msgs_config.compiled import in_place
@@ -14,17 +14,17 @@ Vehicle = tuple[float, float, float, float, float, float]
 V_Y, YAW, YAW_RATE, Y, DELTA = range(5)
 STATES = 5
 MIN_SPEED = 1.0
-"""The model divides by the speed; below this it is held [m/s]."""
+"""Smallest speed of the model, which divides by the speed [m/s]."""
 TAYLOR_TERMS = 13
 
 
 @in_place
 def lateral_dynamics(vehicle: Vehicle, v_x: float, A: Array, B: Array) -> None:
-    """Fill the continuous-time bicycle model, A_c (4, 4) and B_c (4,) of Eq. (7).
+    """Fill the continuous-time bicycle model A_c (4, 4) and B_c (4,) of Eq. (7).
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r; stiffness of ONE tyre.
-        v_x: Longitudinal speed, held at 1 m/s from below [m/s].
+        v_x: Longitudinal speed; below 1 m/s the model of 1 m/s is used [m/s].
         A: Receives A_c, zeros before.
         B: Receives B_c, zeros before.
 
@@ -48,7 +48,7 @@ def lateral_dynamics(vehicle: Vehicle, v_x: float, A: Array, B: Array) -> None:
 def exponential_integrals(D: Array, T: float, Phi: Array, scratch: Scratch) -> None:
     """Fill e^(D T) and its integrals: Phi_k = int_0^T (T - s)^(k-1) / (k-1)! e^(D s) ds.
 
-    Taylor series of a step that is halved until D T is small, then the step doubled:
+    Taylor series over a step that is halved until D T is small. The step is then doubled again by
     Phi_k(2 T) = Phi_0 Phi_k + sum_j T^j / j! Phi_(k-j).
 
     Args:
@@ -94,7 +94,7 @@ def exponential_integrals(D: Array, T: float, Phi: Array, scratch: Scratch) -> N
 
 @in_place
 def multiply(A: Array, B: Array, C: Array) -> None:
-    """C = A B for square matrices (n, n)."""
+    """Fill C = A B for square matrices (n, n)."""
     n = len(A)
     for i in range(n):
         for j in range(n):
@@ -110,12 +110,12 @@ def zero_order_hold(
 ) -> None:
     """Fill the discrete-time model of Eq. (8), A_k (5, 5) and B (5,), for an input held over T.
 
-    Only v_y, yaw rate and delta have dynamics of their own; yaw and Y are integrals of them. The
-    result is exp([[A_c, B_c], [0, 0]] T) to rounding, at a tenth of its cost.
+    Only v_y, yaw rate and delta have dynamics of their own. Yaw and Y are integrals of them. The
+    result equals exp([[A_c, B_c], [0, 0]] T) to rounding, at a tenth of its cost.
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r.
-        v_x: Longitudinal speed, held at 1 m/s from below [m/s].
+        v_x: Longitudinal speed; below 1 m/s the model of 1 m/s is used [m/s].
         lag: Time constant of the steering; 0: the angle follows at once [s].
         T: Time [s].
         A: Receives A_k, zeros before.
@@ -142,7 +142,7 @@ def zero_order_hold(
     A[YAW, YAW] = A[Y, Y] = 1.0
     A[Y, YAW] = v * T
     for j in range(n):
-        z = 2 * j  # place of z_j in the state
+        z = 2 * j  # position of z_j in the state
         for i in range(n):
             A[2 * i, z] = Phi[0, i, j]
             B[2 * i] += Phi[1, i, j] * b[j]
@@ -158,14 +158,14 @@ def augment(A_k: Array, B: Array, A_augmented: Array, B_augmented: Array) -> Non
     """Fill the model with embedded integrator, A~ (5, 5) and B~ (5,) of Eq. (9).
 
     Args:
-        A_k: Of Eq. (8); its first four states count.
-        B: Of Eq. (8).
+        A_k: Matrix of Eq. (8); only its first four states are used.
+        B: Input vector of Eq. (8).
         A_augmented: Receives A~, zeros before.
         B_augmented: Receives B~.
 
     Note:
-        State [Delta x, y], input Delta u; y = Y is the last state of x, so C = [0 .. 0 1] both
-        here and there.
+        State [Delta x, y], input Delta u. The output y = Y is the last state of both models, so
+        C = [0 .. 0 1] for both.
     """
     for i in range(5):
         k = min(i, 3)

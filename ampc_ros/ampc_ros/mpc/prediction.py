@@ -1,4 +1,4 @@
-"""From the model to the quadratic cost: Eqs. (10)-(11)."""
+"""Prediction and quadratic cost, Eqs. (10)-(11)."""
 
 from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.types import Array
@@ -10,7 +10,7 @@ from ampc_ros.mpc.small_matrices import Scratch, dot, vector
 def predict(
     A: Array, B: Array, L: Array, x: Array, free: Array, Phi: Array, scratch: Scratch
 ) -> None:
-    """Fill Y = F x + Phi eta, Eq. (10) with the increments of Eq. (24): F x (N_p,) and Phi'.
+    """Fill F x (N_p,) and Phi' of Y = F x + Phi eta, Eq. (10), with the increments of Eq. (24).
 
     Args:
         A: Augmented model (5, 5); its output is the last state.
@@ -22,8 +22,8 @@ def predict(
         scratch: Auxiliary memory.
 
     Note:
-        The entries of Phi as printed are those of the impulse response h, C A^(i-j) B; with L
-        in place of the single increments they are sums over it.
+        The printed entries of Phi are those of the impulse response, h_i-j = C A^(i-j) B. With
+        L in place of the single increments they are sums over h.
     """
     begin, N_p = scratch.used[0], len(free)
     h, state, impulse = vector(scratch, N_p), vector(scratch, STATES), vector(scratch, STATES)
@@ -31,9 +31,9 @@ def predict(
     for k in range(STATES):
         state[k], impulse[k] = x[k], B[k]
     for i in range(N_p):
-        advance(A, state, following)
+        advance_state(A, state, following)
         free[i], h[i] = state[STATES - 1], impulse[STATES - 1]
-        advance(A, impulse, following)
+        advance_state(A, impulse, following)
     for n in range(len(Phi)):
         response = Phi[n]
         for j in range(min(len(L), N_p)):
@@ -44,8 +44,8 @@ def predict(
 
 
 @in_place
-def advance(A: Array, x: Array, following: Array) -> None:
-    """Put A x in the place of x (5,); `following` is auxiliary."""
+def advance_state(A: Array, x: Array, following: Array) -> None:
+    """Replace x (5,) by A x; `following` is auxiliary."""
     for i in range(STATES):
         total = 0.0
         for k in range(STATES):
@@ -63,15 +63,15 @@ def quadratic_cost(
 
     Args:
         Phi: Forced response, transposed (N, N_p).
-        error: R_s - F x, what the free response leaves of the reference (N_p,) [m].
+        error: R_s - F x, error of the free response (N_p,) [m].
         L: Laguerre functions (N_c, N).
-        weights: Q of the output error, R of the increments Delta u.
+        weights: Output weight Q, and increment weight R of Delta u.
         E: Receives the quadratic term, (>= N, >= N).
         K: Receives the linear term, (>= N,).
 
     Note:
-        Truncation at N_c spoils the orthonormality of Eqs. (19)-(20), so the increments are
-        weighted with sum L(i) L(i)', not with the identity on eta.
+        Truncation at N_c destroys the orthonormality of Eqs. (19)-(20). The increments are
+        therefore weighted with sum L(i) L(i)', not with the identity on eta.
     """
     Q, R = weights
     for j in range(len(Phi)):

@@ -1,4 +1,4 @@
-"""The quadratic programme of Eq. (17), and its transformation to a nearest point."""
+"""The quadratic program of Eq. (17), and its transformation to a nearest-point problem."""
 
 import math
 from typing import NamedTuple
@@ -8,10 +8,11 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.small_matrices import Scratch, cholesky, dot, forward, matrix, vector
 
 SOLVED, INFEASIBLE, UNFINISHED, NOT_CONVEX = 0, 1, 2, 3
+"""Status of a solution."""
 
 
 class Qp(NamedTuple):
-    """Minimise 1/2 x' E x + x' K subject to low <= M x <= high, Eq. (17) with rows of two sides."""
+    """Minimise 1/2 x' E x + x' K subject to low <= M x <= high, Eq. (17) with two-sided rows."""
 
     E: Array
     """(n, n), symmetric and positive definite."""
@@ -25,40 +26,22 @@ class Qp(NamedTuple):
     """(m,), may be inf."""
 
 
-class QpSolution(NamedTuple):
-    """What a solver gives back; unless `converged`, x must not be applied."""
-
-    x: Array
-    """(n,)."""
-    multipliers: Array
-    """lambda of Eq. (30), (m,): positive at the upper bound, negative at the lower one."""
-    iterations: int
-    """Rows that entered the active set, or sweeps."""
-    status: int
-    """SOLVED, INFEASIBLE, UNFINISHED or NOT_CONVEX."""
-
-    @property
-    def converged(self) -> bool:
-        """Whether x is the minimiser."""
-        return self.status == SOLVED
-
-
 class NearestPoint(NamedTuple):
-    """The same in w = C' x, with E = C C': the point of a polyhedron nearest to `start`."""
+    """The QP in w = C' x with E = C C': find the point of a polyhedron nearest to `start`."""
 
     C: Array
     """(n, n), lower triangular."""
     start: Array
     """Unconstrained minimum -C^-1 K (n,)."""
     scale: float
-    """Its length: the size of the numbers in the problem."""
+    """Length of `start`: order of magnitude of the numbers in the problem."""
     status: int
-    """SOLVED; NOT_CONVEX; INFEASIBLE if low > high; UNFINISHED if numbers are not finite."""
+    """SOLVED, NOT_CONVEX, INFEASIBLE if low > high, or UNFINISHED if numbers are not finite."""
 
 
 @inlined
 def nearest_point(qp: Qp, scratch: Scratch) -> NearestPoint:
-    """Transform a programme."""
+    """Transform a QP to a nearest-point problem."""
     n = len(qp.K)
     C, start = matrix(scratch, n, n), vector(scratch, n)
     if not cholesky(qp.E, C):
@@ -78,7 +61,7 @@ def nearest_point(qp: Qp, scratch: Scratch) -> NearestPoint:
 
 @in_place
 def unit_row(C: Array, row: Array, side: float, unit: Array) -> float:
-    """Fill the unit row that acts on w = C' x as side * row (n,) on x; gives the length lost."""
+    """Fill the unit row that acts on w = C' x as side * row (n,) on x; return its former length."""
     forward(C, row, len(row), unit)
     length = math.sqrt(dot(unit, unit))
     if not length > 0.0:

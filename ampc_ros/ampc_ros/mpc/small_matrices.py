@@ -1,4 +1,7 @@
-"""Small matrices as plain loops in scratch memory: no allocation, no BLAS, quick to compile."""
+"""Operations on small matrices in scratch memory: no allocation, no BLAS, quick to compile.
+
+See doc/compiled_code.md for the ownership of scratch memory.
+"""
 
 import math
 from typing import NamedTuple
@@ -11,22 +14,26 @@ from ampc_msgs_config.types import Array
 
 
 class Scratch(NamedTuple):
-    """Memory for what a tick needs on the way; who resets `used` gives all back."""
+    """Stack of numbers for the temporary arrays of a tick; resetting `used` frees them all."""
 
     numbers: Array
     """(size,)."""
     used: NDArray[np.int64]
-    """(1,) how many of them are in use."""
+    """(1,) count of the numbers in use."""
 
 
 def make_scratch(size: int) -> Scratch:
-    """Give memory for so many numbers."""
+    """Return scratch memory for `size` numbers."""
     return Scratch(np.zeros(size), np.zeros(1, np.int64))
 
 
 @inlined
 def vector(scratch: Scratch, n: int) -> Array:
-    """Take n zeros."""
+    """Allocate n zeros.
+
+    Raises:
+        MemoryError: The scratch memory is too small.
+    """
     start = scratch.used[0]
     if start + n > len(scratch.numbers):
         raise MemoryError("scratch memory is too small")
@@ -39,13 +46,13 @@ def vector(scratch: Scratch, n: int) -> Array:
 
 @inlined
 def matrix(scratch: Scratch, m: int, n: int) -> Array:
-    """Take (m, n) zeros."""
+    """Allocate (m, n) zeros."""
     return vector(scratch, m * n).reshape(m, n)
 
 
 @in_place
 def dot(a: Array, b: Array) -> float:
-    """Scalar product of two vectors (n,), in four sums that do not wait for each other."""
+    """Return the scalar product of two vectors (n,), as four independent sums for speed."""
     n = len(a)
     s_0, s_1, s_2, s_3 = 0.0, 0.0, 0.0, 0.0
     for i in range(0, n - 3, 4):
@@ -60,7 +67,7 @@ def dot(a: Array, b: Array) -> float:
 
 @in_place
 def cholesky(E: Array, C: Array) -> bool:
-    """Fill the lower factor C of E = C C' (n, n); tells whether E is positive definite."""
+    """Fill the lower factor C of E = C C' (n, n); return whether E is positive definite."""
     n = len(E)
     for j in range(n):
         for i in range(j, n):
@@ -75,7 +82,7 @@ def cholesky(E: Array, C: Array) -> bool:
 
 @in_place
 def forward(C: Array, b: Array, n: int, x: Array) -> None:
-    """Solve C x = b for a lower triangular C, whose first n rows and columns count."""
+    """Solve C x = b for the first n rows and columns of a lower triangular C."""
     for i in range(n):
         rest = b[i]
         for j in range(i):
@@ -85,7 +92,7 @@ def forward(C: Array, b: Array, n: int, x: Array) -> None:
 
 @in_place
 def backward(C: Array, b: Array, n: int, x: Array) -> None:
-    """Solve C' x = b for a lower triangular C, whose first n rows and columns count."""
+    """Solve C' x = b for the first n rows and columns of a lower triangular C."""
     for i in range(n - 1, -1, -1):
         rest = b[i]
         for j in range(i + 1, n):
@@ -95,11 +102,13 @@ def backward(C: Array, b: Array, n: int, x: Array) -> None:
 
 @in_place
 def project_out(vector: Array, basis: Array, k: int, coordinates: Array, rest: Array) -> None:
-    """Part a vector (n,): coordinates (k,) in the first k rows of an orthonormal basis, the rest.
+    """Split a vector (n,) into coordinates (k,) in the first k rows of a basis, and the rest.
+
+    The rows of the basis are orthonormal.
 
     Note:
-        Gram-Schmidt, done again where much of the vector went and the rest has lost digits by it
-        (Daniel, Gragg, Kaufman and Stewart, 1976): orthogonal to working precision.
+        Gram-Schmidt, repeated if the rest is so short that it has lost digits (Daniel, Gragg,
+        Kaufman and Stewart, 1976). The rest is orthogonal to working precision.
     """
     for j in range(len(vector)):
         rest[j] = vector[j]

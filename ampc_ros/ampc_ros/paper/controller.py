@@ -7,14 +7,21 @@ from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
 from ampc_msgs_config.types import Array, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
-from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
+from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
+from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.paper.tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
+from ampc_ros.paper.qp_assembly import check_conditioning
+from ampc_ros.paper.tick import (
+    HAS_LAST,
+    INDEX,
+    STEERING,
+    call_paper_tick,
+    new_memory,
+)
 
 
 class LateralMpc:
-    """Adaptive MPC of the paper; with a nominal speed set, the classic MPC it is compared with."""
+    """Adaptive MPC of the paper; with a nominal speed, the classic MPC of its comparison."""
 
     def __init__(
         self,
@@ -23,30 +30,30 @@ class LateralMpc:
         table: GainTable,
         base_link_to_cg: float | None = None,
     ) -> None:
-        """Make a controller at rest.
+        """Create a controller at rest.
 
         Args:
-            chassis: The car as the controller believes it to be.
+            chassis: Chassis of the internal model.
             settings: Limits and solver.
             table: Gains by speed and lateral reference.
-            base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
-                [m]; by default `odom` describes the rear axle.
+            base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
+                gravity [m]; by default `odom` describes the rear axle.
 
         Raises:
             ValueError: A gain set makes the problem numerically singular.
         """
-        self.numbers = internal_model_row(chassis, settings, None, base_link_to_cg)
-        self.belief: InternalModel = believed(self.numbers)
+        self.model_row = pack_internal_model(chassis, settings, None, base_link_to_cg)
+        self.model: InternalModel = unpack_internal_model(self.model_row)
         self.period = settings.sample_time
         self.table = table.table
         for gains in table.nodes:
-            check_conditioning(self.belief.vehicle, gains, self.belief.limits)
+            check_conditioning(self.model.vehicle, gains, self.model.limits)
         self.scratch = make_scratch(max(scratch_numbers(*gains[:3]) for gains in table.nodes))
         self.moves = max(gains.control_horizon for gains in table.nodes)
         self.reset()
 
     def reset(self, steering: float = 0.0) -> None:
-        """Forget all earlier steps: the angle in force is given, no increment known, no path."""
+        """Discard the history: set the angle in force [rad], no last state, no path."""
         self.memory: Array = new_memory()
         self.memory[STEERING] = steering
         self.path: Path | None = None
@@ -57,11 +64,11 @@ class LateralMpc:
         return float(self.memory[STEERING])
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer one state; see `paper_tick`.
+        """Return the command for one state; see `paper_tick`.
 
         Args:
-            state: At `base_link`.
-            path: The reference; another object is taken as another path.
+            state: State at `base_link`.
+            path: Reference path; a different object counts as a new path.
 
         Raises:
             ValueError: The path is no graph over its chord.
@@ -69,14 +76,14 @@ class LateralMpc:
         if path is not self.path:
             self._take_path(path)
         table, scratch, angles = tuple(self.table), tuple(self.scratch), np.empty(self.moves)
-        steering, rate, diagnosis = paper_answer(
-            self.numbers, table, self.road, tuple(state), self.memory, scratch, angles
+        steering, rate, diagnosis = call_paper_tick(
+            self.model_row, table, self.road, tuple(state), self.memory, scratch, angles
         )
-        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        return answer._replace(plan=angles[: int(answer.diagnosis.control_horizon)])
+        command = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        return command._replace(plan=angles[: int(command.diagnosis.control_horizon)])
 
     def check(self, path: Path) -> None:
-        """Refuse what `step` would refuse.
+        """Check a path as `step` would.
 
         Raises:
             ValueError: The path is no graph over its chord.
@@ -84,12 +91,12 @@ class LateralMpc:
         path_frame(path)
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
-        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        """Continue from an angle that another source commanded; see `Controller`."""
         self.memory[STEERING] = steering
         if not stepped:
-            self.memory[KNOWN] = 0.0  # the next increment of the state would span two ticks
+            self.memory[HAS_LAST] = 0.0  # the next increment of the state would span two ticks
 
     def _take_path(self, path: Path) -> None:
-        """Follow a new path: new inertial frame, increments start anew, the angle is kept."""
+        """Follow a new path: new inertial frame, no last state; the angle in force is kept."""
         self.road, self.path = (tuple(path), tuple(path_frame(path))), path
-        self.memory[KNOWN], self.memory[INDEX] = 0.0, NOT_CAUGHT
+        self.memory[HAS_LAST], self.memory[INDEX] = 0.0, NOT_CAUGHT

@@ -1,4 +1,4 @@
-"""The controller that drives cars: adaptive MPC on the path ahead, actuator in its model."""
+"""The default controller: adaptive MPC that previews the path, with the actuator in its model."""
 
 import math
 
@@ -8,8 +8,8 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, S
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
-from ampc_ros.mpc.programme import scratch_numbers
+from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
+from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.tick import (
     ACCELERATION,
@@ -21,9 +21,9 @@ from ampc_ros.preview.tick import (
     LAST_SPEED,
     SENT,
     STATE_DELTA,
+    call_preview_tick,
     new_memory,
-    preview_answer,
-    send,
+    store_command,
 )
 
 
@@ -38,38 +38,38 @@ class PreviewMpc:
         table: GainTable,
         base_link_to_cg: float | None = None,
     ) -> None:
-        """Make a controller at rest.
+        """Create a controller at rest.
 
         Args:
-            chassis: The car as the controller believes it to be.
-            steering: Its actuator: limits, delay, lag.
+            chassis: Chassis of the internal model.
+            steering: Steering actuator of the internal model: limits, delay, lag.
             settings: Limits and solver.
             table: Gains by speed.
-            base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
-                [m]; by default `odom` describes the rear axle.
+            base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
+                gravity [m]; by default `odom` describes the rear axle.
         """
-        self.numbers = internal_model_row(chassis, settings, steering, base_link_to_cg)
-        self.belief: InternalModel = believed(self.numbers)
+        self.model_row = pack_internal_model(chassis, settings, steering, base_link_to_cg)
+        self.model: InternalModel = unpack_internal_model(self.model_row)
         self.period = settings.sample_time
         self.table = table.table
-        ticks = self.belief.actuator.ticks
+        ticks = self.model.actuator.ticks
         self.horizon = max(gains.prediction_horizon for gains in table.nodes) + ticks
         sizes = [(gains.prediction_horizon + ticks, *gains[1:3]) for gains in table.nodes]
         self.scratch = make_scratch(max(scratch_numbers(*size) for size in sizes))
         self.reset()
 
     def reset(self, steering: float = 0.0) -> None:
-        """Forget all earlier steps: one angle was always in force, no disturbance, no path."""
-        self.memory: Array = new_memory(self.belief.actuator.ticks)
+        """Discard the history: a constant angle in force [rad], no disturbance, no path."""
+        self.memory: Array = new_memory(self.model.actuator.ticks)
         self.memory[BEFORE] = self.memory[STATE_DELTA] = steering
         self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
 
     def inherit(self, other: "PreviewMpc") -> None:
-        """Go on with what another controller of the same car has learnt: without a bump.
+        """Take over the estimates of another controller of the same car, for a smooth change.
 
-        That is the disturbance, counted per tick, and how the speed changes.
+        These are the disturbance, which is stored per tick, and the acceleration.
         """
         ticks = self.period / other.period
         self.memory[DISTURBANCE:EXPECTED] = ticks * other.memory[DISTURBANCE:EXPECTED]
@@ -83,11 +83,11 @@ class PreviewMpc:
         return float(self.memory[-1])
 
     def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer one state; see `preview_tick`.
+        """Return the command for one state; see `preview_tick`.
 
         Args:
-            state: At `base_link`.
-            path: The reference; another object is taken as another path, without a jump.
+            state: State at `base_link`.
+            path: Reference path; a different object counts as a new path and causes no jump.
         """
         if path is not self.path:
             self.path, self.memory[INDEX] = path, NOT_CAUGHT
@@ -95,33 +95,34 @@ class PreviewMpc:
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
         points = np.empty((self.horizon, 3))
         table, scratch = tuple(self.table), tuple(self.scratch)
-        steering, rate, diagnosis = preview_answer(
-            self.numbers, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
+        steering, rate, diagnosis = call_preview_tick(
+            self.model_row, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
-        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        if math.isnan(answer.diagnosis.prediction_horizon):
-            return answer
-        H = int(answer.diagnosis.prediction_horizon) + self.belief.actuator.ticks
-        return answer._replace(prediction=points[:H, :2], plan=points[:H, 2])
+        command = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        if math.isnan(command.diagnosis.prediction_horizon):
+            return command
+        H = int(command.diagnosis.prediction_horizon) + self.model.actuator.ticks
+        return command._replace(prediction=points[:H, :2], plan=points[:H, 2])
 
     def check(self, path: Path) -> None:
-        """Take any path."""
+        """Accept any path."""
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
-        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        """Continue from an angle that another source commanded; see `Controller`."""
         self.memory[EXPECTS] = 0.0
         if stepped:
             self.memory[-1] = steering
         else:
-            send(self.memory, steering)
+            store_command(self.memory, steering)
 
     def observe_steering(self, angle: float) -> None:
-        """Take the measured road-wheel angle [rad] in place of the one that the model expects.
+        """Replace the road-wheel angle predicted by the model with the measured one [rad].
 
-        A command may be ahead of it by what the steering still has to do: one tick, delay and lag
-        at the largest rate. Where the wheel is held or stuck, the next step starts from there.
+        The last command may lead the measured angle by what the steering can still turn during one
+        tick, its delay and its lag at the largest rate. If the wheel is stuck, the next step starts
+        from that bound.
         """
-        ticks, share, lag = self.belief.actuator
-        reach = (1.0 + ticks + share + lag / self.period) * self.belief.limits.Delta_u_max
+        ticks, share, lag = self.model.actuator
+        reach = (1.0 + ticks + share + lag / self.period) * self.model.limits.Delta_u_max
         self.memory[STATE_DELTA] = angle
         self.memory[-1] = min(max(self.steering, angle - reach), angle + reach)

@@ -1,4 +1,4 @@
-"""The car relative to its path, with its steering actuator: the model of the `preview` formulation.
+"""Model of the preview formulation: the car relative to its path, with its steering actuator.
 
 State [v_y, e_psi, r, e_y, delta]: lateral velocity, heading error, yaw rate, cross-track error and
 road-wheel angle. The first four obey A_c and B_c of Eq. (7), with the path's curvature kappa as a
@@ -24,31 +24,31 @@ from ampc_ros.mpc.model import (
 from ampc_ros.mpc.small_matrices import Scratch, matrix, vector
 
 E_PSI, E_Y = 1, 3
-"""Places of heading and cross-track error: those of yaw and Y in `model`."""
+"""Positions of heading error and cross-track error: those of yaw and Y in `mpc.model`."""
 
 
 class SampledModel(NamedTuple):
-    """One step of T: x(k+1) = A x(k) + B_old u(k-n-1) + B_new u(k-n) + D kappa, n whole ticks."""
+    """Sampled model x(k+1) = A x(k) + B_old u(k-n-1) + B_new u(k-n) + D kappa, delay of n ticks."""
 
     A: Array
     """(5, 5)."""
     B_old: Array
-    """(5,) of the input that still acts at the start of the step."""
+    """(5,) for the input that still acts at the start of the step."""
     B_new: Array
-    """(5,) of the one that follows."""
+    """(5,) for the input that replaces it within the step."""
     D: Array
-    """(5,) of the path's curvature."""
+    """(5,) for the curvature of the path."""
 
 
 @inlined
 def blank_model(scratch: Scratch) -> SampledModel:
-    """Make room for a model."""
+    """Allocate a model in scratch memory."""
     A, B_old = matrix(scratch, STATES, STATES), vector(scratch, STATES)
     return SampledModel(A, B_old, vector(scratch, STATES), vector(scratch, STATES))
 
 
 @in_place
-def sample(
+def sample_model(
     vehicle: Vehicle,
     v_x: float,
     T: float,
@@ -58,7 +58,7 @@ def sample(
 ) -> None:
     """Fill the model of one step of T [s].
 
-    The input is held; it changes within the step where the delay is no multiple of T.
+    The input is held. It changes within the step if the delay is no multiple of T.
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r.
@@ -94,16 +94,16 @@ def sample(
 def side_acceleration(
     vehicle: Vehicle, v_x: float, T: float, change: Array, scratch: Scratch
 ) -> float:
-    """Lateral acceleration that explains an unmodelled change of v_y and r in a step [m/s^2].
+    """Return the lateral acceleration that explains an unmodelled change of v_y and r [m/s^2].
 
-    A side force and a yaw moment that are held act through the tyres' damping: their share of the
-    change is the integral of e^(A t) over the step, not T.
+    A constant side force and yaw moment act against the damping of the tyres: they change the state
+    by the integral of e^(A t) over the step, not by T.
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r.
         v_x: Longitudinal speed [m/s].
         T: Step [s].
-        change: (5,) of the state in a step.
+        change: Unmodelled change of the state in a step (5,).
         scratch: Auxiliary memory.
     """
     begin = scratch.used[0]
@@ -123,16 +123,16 @@ understeer_gradient = in_place(parameters.understeer_gradient)
 
 @in_place
 def steady_steering(vehicle: Vehicle, v_x: float, curvature: float) -> float:
-    """Angle that holds a curvature in steady state, kappa (L + K_us v^2) [rad]."""
+    """Return the angle of steady-state cornering, kappa (L + K_us v^2) [rad]."""
     return curvature * (vehicle[2] + vehicle[3] + understeer_gradient(vehicle) * v_x**2)
 
 
 @in_place
 def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float) -> float:
-    """Angle that keeps the centre of gravity on a bend that opens or closes [rad].
+    """Return the angle that keeps the centre of gravity on a path of changing curvature [rad].
 
     Eq. (7) solved for delta with e_y = 0: a_y = v^2 kappa fixes the sum of the axle forces and
-    I_z r' their moment, with side-slip b kappa and yaw rate v kappa - b kappa' to first order.
+    I_z r' their moment, with sideslip b kappa and yaw rate v kappa - b kappa' to first order.
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r.
@@ -149,7 +149,7 @@ def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float)
 
 @in_place
 def angle_bound(vehicle: Vehicle, v_x: float, u_max: float, a_y_max: float) -> float:
-    """Bound of the angle that follows the tyre: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
+    """Return the angle bound that the tyre sets: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
     v = max(v_x, MIN_SPEED)
     L = vehicle[2] + vehicle[3]
     tyre = a_y_max * (L / v**2 + max(understeer_gradient(vehicle), 0.0))

@@ -1,4 +1,4 @@
-"""One tick of the `preview` formulation in one compiled call: place, lesson, gains, road, plan."""
+"""One tick of the preview formulation in one compiled call."""
 
 import math
 from typing import Any, NamedTuple
@@ -22,51 +22,43 @@ from ampc_msgs_config.types import (
     TRACKING,
     WRONG_WAY,
     Array,
-    Diagnosis,
     VehicleState,
 )
-from ampc_ros.mpc.gain_table import NONE, Gains, Table, look_up
-from ampc_ros.mpc.internal_model import InternalModel, believed
+from ampc_ros.mpc.gain_table import NONE, Table, look_up
+from ampc_ros.mpc.internal_model import InternalModel, unpack_internal_model
 from ampc_ros.mpc.model import DELTA, STATES
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
-from ampc_ros.paper.tick import Answer, plain
-from ampc_ros.preview.model import blank_model, sample, side_acceleration, steady_steering
-from ampc_ros.preview.programme import Past, Plan, Road, preview_plan
-
-HOLD_BELOW = 0.3
-"""Below this speed the steering holds [m/s]."""
-
-REVERSE_BELOW = -0.3
-"""Below this speed the car drives backwards, which this controller refuses to steer; a standing
-car with noise does not [m/s]."""
+from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickResult, diagnose
+from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
+from ampc_ros.preview.qp_assembly import Past, Road, preview_plan
 
 LEARN_ABOVE = 1.5
-"""Speed from which the disturbance is learnt: below it the model is not the car's [m/s]."""
+"""Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
 
 DISTURBANCE_GAIN = (0.3, 0.05, 0.3, 0.05, 0.3)
-"""Share of a new residual that enters the estimate in a tick, by state."""
+"""Estimator gain: share of a new residual that enters the estimate in a tick, by state."""
 
 MAX_DISTURBANCE = (3.0, 0.05, 1.5, 0.5, 0.0)
-"""Largest disturbance: what is more is a skid, and no wind [unit of the state / s]."""
+"""Largest disturbance; a larger residual is a skid and no wind [unit of the state / s]."""
 
 ACCELERATION_GAIN = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration in a tick."""
 
 ACCELERATION_FADE = 1.0
-"""Time constant with which the acceleration is expected to fade [s]."""
+"""Time constant with which the acceleration is predicted to fade [s]."""
 
 INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, BEFORE = 0, 1, 3, 4, 5, 6
 
 DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 7, 12, 16, 17
-"""What the controller remembers, in a row of numbers: index on the path, node of the table (2,),
-speed at the last tick and estimated acceleration, whether a state is expected, the command before
-the oldest one that counts, disturbance (5,), expected state (5,), whose last number is the
-road-wheel angle, and the commands on their way, the newest last (n + 1,)."""
+"""Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
+the last tick, estimated acceleration, whether a state is predicted, the command before the oldest
+one in the delay, disturbance (5,), predicted state (5,), whose last number is the road-wheel angle,
+and the commands in the delay, the newest last (n + 1,)."""
 
 
-class Place(NamedTuple):
-    """Where a car is on its path."""
+class PathPosition(NamedTuple):
+    """Position of the car relative to its path."""
 
     s: float
     """Arc length [m]."""
@@ -79,13 +71,13 @@ class Place(NamedTuple):
 
 
 @in_place
-def look_ahead(path: Path, s: float, memory: Array, T: float, road: Road) -> None:
+def sample_road(path: Path, s: float, memory: Array, T: float, road: Road) -> None:
     """Fill speeds and mean curvatures of the horizon, from one tick back to H ticks ahead.
 
     Args:
-        path: The reference.
+        path: Reference path.
         s: Arc length of the car [m].
-        memory: Speed now, and acceleration now; it is expected to fade.
+        memory: Memory of the controller: speed now, and acceleration, which fades.
         T: Step [s].
         road: Filled.
     """
@@ -100,8 +92,8 @@ def look_ahead(path: Path, s: float, memory: Array, T: float, road: Road) -> Non
 
 
 @in_place
-def locate(path: Path, car: VehicleState, memory: Array) -> Place:
-    """Find the car on its path, and say whether it can be steered along it."""
+def locate(path: Path, car: VehicleState, memory: Array) -> PathPosition:
+    """Return the car's position on its path, and the mode: whether it can be steered along it."""
     s, index = advance(path, int(memory[INDEX]), car.x, car.y, car.yaw)
     memory[INDEX] = index
     e_y, e_psi = errors_at(path, s, car.x, car.y, car.yaw)
@@ -110,18 +102,18 @@ def locate(path: Path, car: VehicleState, memory: Array) -> Place:
         mode = STANDSTILL if car.v_x > REVERSE_BELOW else REVERSE
     elif abs(e_psi) > math.pi / 2:
         mode = WRONG_WAY
-    return Place(s, e_y, e_psi, mode)
+    return PathPosition(s, e_y, e_psi, mode)
 
 
 @in_place
-def learn(memory: Array, v_x: float, x: Array, elapsed: float, T: float) -> None:
-    """Update disturbance and acceleration by what the last tick should have brought.
+def update_estimates(memory: Array, v_x: float, x: Array, elapsed: float, T: float) -> None:
+    """Update disturbance and acceleration from the residual of the last prediction.
 
     Args:
         memory: Changed in place.
         v_x: Speed [m/s].
         x: State relative to the path (5,).
-        elapsed: Since the last step; nan if there was none [s].
+        elapsed: Time since the last step; nan if there was none [s].
         T: Step [s].
     """
     last, memory[LAST_SPEED] = memory[LAST_SPEED], v_x
@@ -140,8 +132,8 @@ def learn(memory: Array, v_x: float, x: Array, elapsed: float, T: float) -> None
 
 
 @in_place
-def send(memory: Array, steering: float) -> float:
-    """Remember a command; gives the change to the one before [rad]."""
+def store_command(memory: Array, steering: float) -> float:
+    """Append a command to those in the delay; return the change from the previous one [rad]."""
     newest = len(memory) - 1
     change, memory[BEFORE] = steering - memory[newest], memory[SENT]
     for i in range(SENT, newest):
@@ -151,31 +143,40 @@ def send(memory: Array, steering: float) -> float:
 
 
 @in_place
-def expect(belief: InternalModel, memory: Array, x: Array, road: Road, scratch: Scratch) -> None:
-    """Note the state that the model, without disturbance, expects at the next tick."""
-    model = blank_model(scratch)
-    sample(belief.vehicle, road.speed[0], belief.limits.T, belief.actuator, model, scratch)
-    older, old = memory[BEFORE], memory[len(memory) - 1 - belief.actuator.ticks]
+def predict_next_state(
+    model: InternalModel, memory: Array, x: Array, road: Road, scratch: Scratch
+) -> None:
+    """Store the state that the model, without disturbance, predicts for the next tick.
+
+    Note:
+        The horizon is sampled at the mean speed of each step, this prediction at the present speed:
+        the model of the first step of the horizon cannot be reused bit for bit.
+    """
+    sampled = blank_model(scratch)
+    T, actuator = model.limits.T, model.actuator
+    sample_model(model.vehicle, road.speed[0], T, actuator, sampled, scratch)
+    older, old = memory[BEFORE], memory[len(memory) - 1 - actuator.ticks]
     for i in range(STATES):
-        expected = model.B_old[i] * older + model.B_new[i] * old + model.D[i] * road.curvature[1]
+        expected = sampled.B_old[i] * older + sampled.B_new[i] * old
+        expected += sampled.D[i] * road.curvature[1]
         for k in range(STATES):
-            expected += model.A[i, k] * x[k]
+            expected += sampled.A[i, k] * x[k]
         memory[EXPECTED + i] = expected
     memory[EXPECTS] = 1.0
 
 
 @in_place
-def put_predicted(
+def fill_prediction(
     path: Path, s: float, speed: Array, lateral: Array, angles: Array, T: float, out: Array
 ) -> None:
-    """Fill where the car is expected at each step of the horizon, and the angles that bring it.
+    """Fill the predicted position of the car at each step of the horizon, and the planned angles.
 
     Args:
-        path: The reference.
+        path: Reference path.
         s: Arc length of the car [m].
         speed: (H + 1,) [m/s].
-        lateral: Cross-track error expected (H,) [m].
-        angles: To command (H,) [rad].
+        lateral: Predicted cross-track error (H,) [m].
+        angles: Planned angles (H,) [rad].
         T: Step [s].
         out: (>= H, 3) x and y in `map` [m], angle [rad].
     """
@@ -189,7 +190,7 @@ def put_predicted(
 
 @inlined
 def preview_tick(
-    numbers: Array,
+    model_row: Array,
     table: Table,
     path: Path,
     state: VehicleState,
@@ -197,89 +198,62 @@ def preview_tick(
     memory: Array,
     scratch: Scratch,
     predicted: Array,
-) -> Answer:
-    """Answer one state: place on the path, what the last tick taught, gains, road, plan.
+) -> TickResult:
+    """Compute the command for one state.
 
     Args:
-        numbers: Belief (20,).
+        model_row: `pack_internal_model` of the controller.
         table: Gains.
-        path: The reference.
-        state: At `base_link`.
-        elapsed: Since the last step; nan if there was none [s].
-        memory: Of this controller, see `new_memory`; changed in place.
+        path: Reference path.
+        state: State at `base_link`.
+        elapsed: Time since the last step; nan if there was none [s].
+        memory: Memory of this controller, see `new_memory`; changed in place.
         scratch: At least `scratch_numbers(...)`.
-        predicted: Receives points and angles of the horizon (>= H, 3), see `put_predicted`; may
+        predicted: Receives points and angles of the horizon (>= H, 3), see `fill_prediction`; may
             have no row.
     """
     scratch.used[0] = 0
-    belief = believed(numbers)
-    T, car, x = belief.limits.T, at_distance(state, belief.to_cg), vector(scratch, STATES)
-    place = locate(path, car, memory)
-    x[0], x[1], x[2], x[3] = car.v_y, math.sin(place.e_psi), car.yaw_rate, place.e_y
+    model = unpack_internal_model(model_row)
+    # State relative to the path
+    T, car, x = model.limits.T, at_distance(state, model.to_cg), vector(scratch, STATES)
+    position = locate(path, car, memory)
+    x[0], x[1], x[2], x[3] = car.v_y, math.sin(position.e_psi), car.yaw_rate, position.e_y
     x[DELTA] = memory[STATE_DELTA]
-    learn(memory, car.v_x, x, elapsed, T)
+    # Disturbance and acceleration, from the residual of the last prediction
+    update_estimates(memory, car.v_x, x, elapsed, T)
+    # Gains at this speed
     gains, outside = look_up(table, memory[IN_USE : IN_USE + 2], car.v_x, 0.0)
-    steers = place.mode == TRACKING or place.mode == PATH_END
-    plan, change = Plan(memory[len(memory) - 1], 0, 0.0, 0, SOLVED), 0.0
+    steers = position.mode == TRACKING or position.mode == PATH_END
+    plan, change = QpResult(memory[len(memory) - 1], 0, 0.0, 0, SOLVED), 0.0
+    disturbance = memory[DISTURBANCE : DISTURBANCE + STATES]
     if steers:
-        H = gains.prediction_horizon + belief.actuator.ticks
+        # Horizon along the path, QP and first move
+        H = gains.prediction_horizon + model.actuator.ticks
         road = Road(vector(scratch, H + 1), vector(scratch, H + 1))
         lateral, angles = vector(scratch, H), vector(scratch, H)
-        look_ahead(path, place.s, memory, T, road)
-        past = Past(x, memory[SENT:], memory[DISTURBANCE : DISTURBANCE + STATES])
-        plan = preview_plan(belief, gains, past, road, lateral, angles, scratch)
-        change = send(memory, plan.steering)
-        expect(belief, memory, x, road, scratch)
+        sample_road(path, position.s, memory, T, road)
+        past = Past(x, memory[SENT:], disturbance)
+        plan = preview_plan(model, gains, past, road, lateral, angles, scratch)
+        # Memory for the next tick, and the prediction for viewers
+        change = store_command(memory, plan.steering)
+        predict_next_state(model, memory, x, road, scratch)
         if len(predicted) > 0:
-            put_predicted(path, place.s, road.speed, lateral, angles, T, predicted)
+            fill_prediction(path, position.s, road.speed, lateral, angles, T, predicted)
     else:
-        send(memory, plan.steering)
+        # Standstill, reverse or wrong way: hold the angle
+        store_command(memory, plan.steering)
         memory[EXPECTS] = 0.0
-    curvature = point_at(path, place.s).curvature
-    disturbance = memory[DISTURBANCE : DISTURBANCE + STATES]
-    unexplained = side_acceleration(belief.vehicle, car.v_x, T, disturbance, scratch)
-    feed_forward = steady_steering(belief.vehicle, car.v_x, curvature)
-    road_values = curvature, feed_forward, unexplained
-    diagnosis = diagnose(place, road_values, plan, gains, steers, outside)
-    return Answer(plan.steering, change / T, diagnosis)
-
-
-@inlined
-def diagnose(
-    place: Place,
-    road_values: tuple[float, float, float],
-    plan: Plan,
-    gains: Gains,
-    steers: bool,
-    outside: bool,
-) -> Diagnosis:
-    """Say what can be said about a step; gains that steer nothing are nan."""
-    known = 1.0 if steers else np.nan
-    converged = 1.0 if plan.status == SOLVED else 0.0
-    outside_table = 1.0 if steers and outside else 0.0
-    return Diagnosis(
-        cross_track_error=place.e_y,
-        heading_error=place.e_psi,
-        curvature=road_values[0],
-        feed_forward=road_values[1],
-        disturbance=road_values[2],
-        mode=float(place.mode),
-        active_constraints=float(plan.active),
-        slack=plan.slack,
-        solver_iterations=float(plan.iterations),
-        converged=converged,
-        prediction_horizon=known * gains.prediction_horizon,
-        control_horizon=known * gains.control_horizon,
-        laguerre_terms=known * gains.laguerre_terms,
-        laguerre_pole=known * gains.laguerre_pole,
-        output_weight=known * gains.output_weight,
-        increment_weight=known * gains.increment_weight,
-        outside_table=outside_table,
-    )
+    # Diagnosis
+    curvature = point_at(path, position.s).curvature
+    unexplained = side_acceleration(model.vehicle, car.v_x, T, disturbance, scratch)
+    feed_forward = steady_steering(model.vehicle, car.v_x, curvature)
+    errors, road_values = (position.e_y, position.e_psi), (curvature, feed_forward, unexplained)
+    diagnosis = diagnose(errors, road_values, position.mode, plan, gains, steers, outside)
+    return TickResult(plan.steering, change / T, diagnosis)
 
 
 def new_memory(ticks: int) -> Array:
-    """Give the memory of a controller that has not stepped yet.
+    """Return the memory of a controller before its first step.
 
     Args:
         ticks: Whole ticks of delay of its steering.
@@ -290,8 +264,8 @@ def new_memory(ticks: int) -> Array:
 
 
 @in_place
-def preview_answer(
-    numbers: Array,
+def call_preview_tick(
+    model_row: Array,
     table: tuple[Any, ...],
     path: tuple[Any, ...],
     state: tuple[Any, ...],
@@ -300,9 +274,9 @@ def preview_answer(
     scratch: tuple[Any, ...],
     predicted: Array,
 ) -> tuple[float, float, tuple[float, ...]]:
-    """Call `preview_tick` from Python, with plain tuples; see `paper_answer`."""
-    answer = preview_tick(
-        numbers,
+    """Call `preview_tick` from Python with plain tuples; see doc/compiled_code.md."""
+    result = preview_tick(
+        model_row,
         Table(*table),
         Path(*path),
         VehicleState(*state),
@@ -311,4 +285,4 @@ def preview_answer(
         Scratch(*scratch),
         predicted,
     )
-    return answer.steering, answer.rate, plain(answer.diagnosis)
+    return result.steering, result.rate, result.diagnosis[:]

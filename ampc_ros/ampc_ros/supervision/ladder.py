@@ -25,7 +25,7 @@ from ampc_msgs_config.types import (
 )
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import Controller
-from ampc_ros.preview.tick import HOLD_BELOW, REVERSE_BELOW
+from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW
 from ampc_ros.supervision.feed_forward import FeedForward
 
 (

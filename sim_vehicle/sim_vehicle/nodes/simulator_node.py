@@ -1,7 +1,8 @@
-"""Node `simulator`: the car that really drives. `ros2 run sim_vehicle simulator`.
+"""Node `simulator`: the simulated car. `ros2 run sim_vehicle simulator`.
 
-Real-time mode runs free on the node's clock. In lock-step the node owns the time: it publishes
-`/clock` and a state, and moves on only when steering and target speed have answered that state.
+In real-time mode the car follows the clock of the node. In lock-step the node owns the time: it
+publishes `/clock` and a state, and advances only after steering command and target speed for that
+state have arrived.
 """
 
 import sys
@@ -31,30 +32,30 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_PERIOD = 0.02
-"""Time from one state to the next in real-time mode [s]."""
+"""Period of the states in real-time mode [s]."""
 SILENCE = 0.5
-"""Age of an answer from which it is reported as missing, in real time [s]."""
+"""Age from which a command is reported as missing, in real-time mode [s]."""
 RESEND = 0.2
 """Wall time after which an unanswered state is published again [s]."""
 TIMED_OUT = 3
-"""Exit code where a peer is lost."""
+"""Exit code after the timeout of a peer."""
 
 
 class SimulatorNode(BaseNode):
-    """Publishes the state of the car, and moves it under the commands that come back."""
+    """Node that publishes the state of the car and integrates its motion under the commands."""
 
     def __init__(self) -> None:
-        """Load the car and the drive; the first state goes out once both peers are there."""
+        """Load car and scenario; the first state is published once both peers are present."""
         super().__init__("simulator", owns_time=True)
-        self.config = self._made()
+        self.config = self._load_configuration()
         self.simulation = self.config.simulation()
-        self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles, as `measure` does
-        self.simulation.car.measure(0)
+        self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles the simulation
+        self.simulation.car.measure(0)  # compiles the measurement
         self.simulation = self.config.simulation()
         limits = (0.1, 3600.0)
-        self.time_out = declare(self, "time_out", 10.0, "longest wait for an answer [s]", limits)
+        self.time_out = declare(self, "time_out", 10.0, "timeout of a command [s]", limits)
         self.start_time_out = declare(
-            self, "start_time_out", 60.0, "longest wait for the other nodes [s]", limits
+            self, "start_time_out", 60.0, "timeout of the start of other nodes [s]", limits
         )
         self.start_ns = NANOSECONDS
         self.state: list[tuple[Publisher, Any]] = []
@@ -67,13 +68,13 @@ class SimulatorNode(BaseNode):
         name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
         self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
 
-    def _made(self) -> Configuration:
-        """Declare the parameters of drive and car, and load what they name."""
+    def _load_configuration(self) -> Configuration:
+        """Declare the parameters of scenario and car, and load the files that they name."""
         scenario = declare_scenario(self)
         vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
-        friction = declare(self, "friction", -1.0, "mu of the road; -1: the tyre's", (-1, 3))
-        name = declare(self, "noise", "", "of the measurement: shipped one, or YAML file")
-        seed = declare(self, "seed", 0, "of the noise", (0, 2**31 - 1))
+        friction = declare(self, "friction", -1.0, "mu of the road; -1: that of the tyres", (-1, 3))
+        name = declare(self, "noise", "", "measurement noise: shipped name or YAML file")
+        seed = declare(self, "seed", 0, "seed of the noise", (0, 2**31 - 1))
         return Configuration(
             vehicle,
             scenario,
@@ -107,17 +108,17 @@ class SimulatorNode(BaseNode):
         return self.start_ns + self.simulation.elapsed_ns
 
     def wait_for_peers(self) -> None:
-        """Start once both answers have a publisher, and the recorder listens if there is one."""
+        """Start once both commands have a publisher, and the recorder, if any, subscribes."""
         missing = [peer.topic_name for peer in self.peers if not peer.get_publisher_count()]
         if missing:
-            self.check_time_out(f"nobody publishes {' and '.join(missing)}", self.start_time_out)
+            self.check_time_out(f"no publisher of {' and '.join(missing)}", self.start_time_out)
         elif unrecorded := self.unrecorded():
-            self.check_time_out(f"nobody records {' and '.join(unrecorded)}", self.start_time_out)
+            self.check_time_out(f"no recorder of {' and '.join(unrecorded)}", self.start_time_out)
         else:
             self.begin()
 
     def begin(self) -> None:
-        """Publish the first state, and set the timer that goes on."""
+        """Publish the first state, and start the timer of the drive."""
         self.destroy_timer(self.start_timer)
         self.waiting_since = time.monotonic()
         if self.lock_step:
@@ -127,7 +128,7 @@ class SimulatorNode(BaseNode):
             self.create_timer(REAL_TIME_PERIOD, self.on_real_time)
 
     def on_answer(self, topic: str, unpack: Callable[[Any], ros.Stamped], message: Any) -> None:
-        """Take a steering angle or a target speed."""
+        """Store a steering command or a target speed; in lock-step advance after the second."""
         try:
             answer = unpack(message)
         except ValueError as error:
@@ -143,11 +144,11 @@ class SimulatorNode(BaseNode):
                 self.waiting_since = time.monotonic()
 
     def unanswered(self) -> list[str]:
-        """Give the topics that still have to answer."""
+        """Return the topics without a command for the present state."""
         return [t for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED) if t not in self.answers]
 
     def on_unanswered(self) -> None:
-        """Lock-step: publish an unanswered state again; give up after the time-out."""
+        """Lock-step: publish an unanswered state again; end the drive after the timeout."""
         if time.monotonic() - self.waiting_since < RESEND:
             return
         at = self.simulation.elapsed_ns / NANOSECONDS
@@ -156,7 +157,7 @@ class SimulatorNode(BaseNode):
         self.send()
 
     def on_real_time(self) -> None:
-        """Move on under the newest answers; the car waits at its start for the first ones."""
+        """Advance under the newest commands; the car waits at its start for the first ones."""
         if missing := self.unanswered():
             self.start_ns = self.now_ns
             self.publish_state()
@@ -164,34 +165,34 @@ class SimulatorNode(BaseNode):
             return
         due_ns = self.now_ns - self.stamp_ns
         if due_ns < 0:
-            self.get_logger().warning("time went backwards: the car is at its start again")
+            self.get_logger().warning("time went backwards: the car restarts the scenario")
             self.simulation, self.start_ns = self.config.simulation(), self.now_ns
         elif due_ns >= STEP_NS:
             self.check_silence()
             self.move(due_ns // STEP_NS * STEP_NS)
 
     def check_silence(self) -> None:
-        """Real time: end the drive where nobody has driven for the time-out."""
+        """Real time: end the drive if a command is older than the timeout."""
         for topic, answer in self.answers.items():
             if self.now_ns - answer.stamp_ns > self.time_out * NANOSECONDS:
-                self.give_up(f"no {topic} within {self.time_out:g} s")
+                self.end_drive(f"no {topic} within {self.time_out:g} s")
 
     def check_time_out(self, what: str, time_out: float) -> None:
-        """Give up if the wait has been too long [s]."""
+        """End the drive if the wait exceeds the timeout [s]."""
         if time.monotonic() - self.waiting_since > time_out:
-            self.give_up(f"{what} within {time_out:g} s")
+            self.end_drive(f"{what} within {time_out:g} s")
 
-    def give_up(self, why: str) -> None:
-        """End the drive: a peer is lost."""
+    def end_drive(self, why: str) -> None:
+        """End the drive because a peer is missing."""
         self.get_logger().fatal(why)
         raise SystemExit(TIMED_OUT)
 
     def move(self, period_ns: int) -> None:
-        """Drive for a while [ns] and publish the state there, or end the drive."""
+        """Integrate a period [ns] and publish the new state, or end the drive."""
         steering, speed = (self.answers[t].value for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED))
         self.simulation.advance(steering, speed, period_ns)
         if self.simulation.finished:
-            self.get_logger().info(f"drive over after {self.simulation.scenario.duration:g} s")
+            self.get_logger().info(f"drive finished after {self.simulation.scenario.duration:g} s")
             raise SystemExit(0)
         self.publish_state()
 
@@ -208,12 +209,12 @@ class SimulatorNode(BaseNode):
         self.send()
 
     def send(self) -> None:
-        """Publish what was measured last."""
+        """Publish the last measurement."""
         for publisher, message in self.state:
             publisher.publish(message)
 
     def on_diagnostics(self) -> None:
-        """Report health once a second; in lock-step not before the time begins."""
+        """Publish diagnostics once a second; in lock-step not before the first state."""
         if self.lock_step and not self.state:
             return
         values = {
@@ -228,15 +229,15 @@ class SimulatorNode(BaseNode):
         self.report(stamp_ns, missing, values)
 
     def missing(self) -> str:
-        """Say, in real time, whose answers the car does without."""
+        """Return which commands are missing or old in real-time mode, or an empty text."""
         if unanswered := self.unanswered():
             return f"the car waits at its start for {' and '.join(unanswered)}"
         silent = {
             topic: (self.now_ns - answer.stamp_ns) / NANOSECONDS
             for topic, answer in self.answers.items()
         }
-        said = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > SILENCE]
-        return f"{' and '.join(said)}: the car goes on under the last one" if said else ""
+        old = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > SILENCE]
+        return f"{' and '.join(old)}: the car continues with the last one" if old else ""
 
 
 def main() -> int:

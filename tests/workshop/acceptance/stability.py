@@ -18,7 +18,7 @@ from ampc_ros.mpc.internal_model import actuator_of
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.controller import PreviewMpc
-from ampc_ros.preview.model import SampledModel, sample
+from ampc_ros.preview.model import SampledModel, sample_model
 from ampc_ros.preview.tick import BEFORE, EXPECTS, LAST_SPEED
 
 SIZE = 1e-6
@@ -41,14 +41,14 @@ def spectral_radius(
     actuator = actuator_of(steering, T)
     vehicle = tuple(vars(chassis).values())
     A, B_old, B_new, D = np.zeros((STATES, STATES)), *np.zeros((3, STATES))
-    sample(vehicle, v_x, T, actuator, SampledModel(A, B_old, B_new, D), make_scratch(400))
+    sample_model(vehicle, v_x, T, actuator, SampledModel(A, B_old, B_new, D), make_scratch(400))
     queue, rest = actuator.ticks + 1, len(controller.memory) - BEFORE
 
     def tick(z: Array) -> Array:
         x, sent, memory = np.split(z, [STATES, STATES + queue])
         steered = recalled(controller, memory, v_x)
         state = VehicleState(NANOSECONDS, 100.0, x[3], x[1], v_x, x[0], x[2])
-        u = steered.step(at_distance(state, -steered.belief.to_cg), PATH).steering
+        u = steered.step(at_distance(state, -steered.model.to_cg), PATH).steering
         inputs = np.append(sent, u)
         x = A @ x + B_old * inputs[0] + B_new * inputs[1]
         return np.concatenate((x, inputs[1:], steered.memory[BEFORE:]))

@@ -21,7 +21,7 @@ from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.run.simulated import SimulatedDrive
-from launch_scripts.tuning.fleet_rows import Entry, drive_all
+from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
 from tests.workshop.acceptance.independent_plant import Disturbance, IndependentSimulation, belief
@@ -101,7 +101,7 @@ def run_all(trials: Sequence[Trial], name: str) -> list[SimulatedDrive]:
     if any(trial.car == "independent" for trial in trials):
         drives = [drive(entry.simulation, entry.controller) for entry in entries]
     else:
-        drives = drive_all(entries)
+        drives = drive_fleet(entries)
     return [judged(*each) for each in zip(drives, scenarios, vehicles, strict=True)]
 
 

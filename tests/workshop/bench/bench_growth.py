@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ampc_ros.mpc.gain_table import Gains
-from ampc_ros.mpc.programme import Tick
+from ampc_ros.paper.qp_assembly import StepInput
 from tests.workshop.bench.bench_ours import GAINS, Task, posed, qp_alone, whole_tick
 from tests.workshop.bench.bench_problems import perturbed, recorded_ticks
 from tests.workshop.bench.bench_qp import with_daqp
@@ -46,7 +46,7 @@ def measure(*, quick: bool) -> list[Section]:
     return [grown(axis, ticks, 1 if quick else 30) for axis in AXES]
 
 
-def grown(axis: str, ticks: list[Tick], rounds: int) -> Section:
+def grown(axis: str, ticks: list[StepInput], rounds: int) -> Section:
     """Measure all sizes of an axis, in turns."""
     entrants = {
         (size, series): Entrant(calls, rounds)
@@ -65,7 +65,7 @@ def grown(axis: str, ticks: list[Tick], rounds: int) -> Section:
     return Section(f"growth_{axis.split()[0]}", f"Growth with {axis}", note, rows)
 
 
-def calls_of(gains: Gains, ticks: Iterable[Tick]) -> dict[str, list[Call]]:
+def calls_of(gains: Gains, ticks: Iterable[StepInput]) -> dict[str, list[Call]]:
     """Give what is timed at a size."""
     tasks = [Task(gains, math.inf, tick) for tick in ticks]
     problems = [posed(task) for task in tasks]

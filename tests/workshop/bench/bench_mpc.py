@@ -14,10 +14,10 @@ from scipy.linalg import expm
 
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.model import lateral_dynamics
-from ampc_ros.mpc.programme import Tick
+from ampc_ros.paper.qp_assembly import StepInput
 from tests.workshop.bench.bench_ours import GAINS, VEHICLE, laguerre, limits
 
-Answer = Callable[[Tick], float | None]
+Answer = Callable[[StepInput], float | None]
 N_P, N_C, N, _, Q, R = GAINS
 LIMITS = limits()
 SQUARINGS = 6
@@ -44,7 +44,7 @@ def numpy_daqp() -> Answer:
     later = np.arange(N_P)[:, None] - np.arange(N_C)
     before = later < 0
 
-    def answer(tick: Tick) -> float | None:
+    def answer(tick: StepInput) -> float | None:
         A, B = augmented_model(tick.v_x)
         F, response, row = np.empty((N_P, 5)), np.empty(N_P), np.eye(5)[4]
         for i in range(N_P):
@@ -86,7 +86,7 @@ def casadi_qp(plugin: str, options: dict[str, Any]) -> Answer:
     programme = {"x": eta, "p": p, "f": cost, "g": ca.vertcat(moves, ca.cumsum(moves))}
     solver = ca.qpsol("S", plugin, programme, options)
 
-    def answer(tick: Tick) -> float | None:
+    def answer(tick: StepInput) -> float | None:
         high, low = bounds(tick.u)
         given = np.concatenate(((tick.v_x,), tick.x, (tick.u, tick.r)))
         try:
@@ -163,7 +163,7 @@ def do_mpc_model(do_mpc: Any) -> Any:
     return model
 
 
-def ask_do_mpc(mpc: Any, known: Any, tick: Tick) -> float | None:
+def ask_do_mpc(mpc: Any, known: Any, tick: StepInput) -> float | None:
     """Answer one tick; its first guess is its last solution."""
     A, B = augmented_model(tick.v_x)
     known["_p", 0, "A"], known["_p", 0, "B"], known["_p", 0, "r"] = A, B, tick.r

@@ -17,20 +17,23 @@ from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
-from ampc_ros.mpc.active_set import active_set, solve_in, solver_memory, solver_numbers
+from ampc_ros.mpc.active_set import active_set, active_set_numbers
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.mpc.internal_model import Limits, limits_of
 from ampc_ros.mpc.laguerre import laguerre_sequence
 from ampc_ros.mpc.model import Vehicle
-from ampc_ros.mpc.programme import Move, Tick, plan, problem, scratch_numbers
 from ampc_ros.mpc.qp import SOLVED, Qp
+from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import Scratch, make_scratch, vector
+from ampc_ros.mpc.tick_result import QpResult
 from ampc_ros.paper.controller import LateralMpc
+from ampc_ros.paper.qp_assembly import StepInput, new_qp, paper_plan
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.fleet import STEERING
-from launch_scripts.tuning.fleet_rows import Entry, prepare, run
+from launch_scripts.tuning.fleet_rows import Entry, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import load_vehicle
+from tests.filled import solve_in, solver_memory
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
 VEHICLE: Vehicle = astuple(CHASSIS)
@@ -47,7 +50,7 @@ class Task(NamedTuple):
     gains: Gains
     half_width: float
     """Of the soft lane; infinite: no output rows [m]."""
-    tick: Tick
+    tick: StepInput
 
 
 def limits(half_width: float = math.inf) -> Limits:
@@ -57,7 +60,7 @@ def limits(half_width: float = math.inf) -> Limits:
 
 def posed(task: Task) -> Qp:
     """Pose the programme of a tick."""
-    return problem(VEHICLE, task.gains, limits(task.half_width), task.tick)
+    return new_qp(VEHICLE, task.gains, limits(task.half_width), task.tick)
 
 
 def qp_alone(qp: Qp) -> Callable[[], Array | None]:
@@ -83,23 +86,23 @@ def solve_often(qp: Qp, x: Array, multipliers: Array, scratch: Scratch, times: i
 def qp_inside(qp: Qp, times: int) -> Callable[[], object]:
     """Give a call that solves so often inside compiled code."""
     m, n = qp.M.shape
-    memory = np.zeros(n), np.zeros(m), make_scratch(solver_numbers(m, n))
+    memory = np.zeros(n), np.zeros(m), make_scratch(active_set_numbers(m, n))
     return partial(solve_often, qp, *memory, times)
 
 
-def whole_tick(gains: Gains) -> Callable[[Tick], float | None]:
+def whole_tick(gains: Gains) -> Callable[[StepInput], float | None]:
     """Give what answers a tick by its first move [rad], in memory made beforehand."""
     scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
     known = VEHICLE, tuple(gains), tuple(limits())
 
-    def answer(tick: Tick) -> float | None:
+    def answer(tick: StepInput) -> float | None:
         Delta_u, status = plan_often(*known, tuple(tick), scratch, 1)
         return Delta_u if status == SOLVED else None
 
     return answer
 
 
-def tick_inside(gains: Gains, tick: Tick, times: int) -> Callable[[], object]:
+def tick_inside(gains: Gains, tick: StepInput, times: int) -> Callable[[], object]:
     """Give a call that answers a tick so often inside compiled code."""
     scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
     known = VEHICLE, tuple(gains), tuple(limits()), tuple(tick)
@@ -116,11 +119,12 @@ def plan_often(
     times: int,
 ) -> tuple[float, int]:
     """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
-    memory, move = Scratch(*scratch), Move(0.0, 0, 0.0, 0, 0)
+    memory, step, plan = Scratch(*scratch), StepInput(*tick), QpResult(0.0, 0, 0.0, 0, 0)
     for _ in range(times):
         memory.used[0] = 0
-        move = plan(vehicle, Gains(*gains), Limits(*bounds), Tick(*tick), vector(memory, 0), memory)
-    return move.Delta_u, move.status
+        no_angles = vector(memory, 0)
+        plan = paper_plan(vehicle, Gains(*gains), Limits(*bounds), step, no_angles, memory)
+    return plan.steering - step.u, plan.status
 
 
 def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:
@@ -161,7 +165,7 @@ def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Call
     roads = [load_scenario(name, CAR.size)._replace(duration=seconds) for name in ROADS]
     step_ns, friction = round(step * NANOSECONDS), np.linspace(0.8, 1.0, cars)
     choices = Choices(formulation, settings="table3")
-    expedition = prepare(
+    fleet_run = prepare_fleet(
         [
             Entry(
                 Simulation(CAR, roads[i % len(roads)], step_ns, friction=float(friction[i])),
@@ -172,6 +176,6 @@ def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Call
     )
 
     def drive() -> int:
-        return int(np.isfinite(run(expedition)[:, :, STEERING]).sum())
+        return int(np.isfinite(run_fleet(fleet_run)[:, :, STEERING]).sum())
 
     return drive

@@ -18,8 +18,8 @@ from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import Array
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
-from ampc_ros.mpc.programme import Tick
 from ampc_ros.mpc.qp import Qp
+from ampc_ros.paper.qp_assembly import StepInput
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 from tests.workshop.bench.bench_ours import GAINS, SETTINGS, Task, laguerre
@@ -57,7 +57,7 @@ def problems(count: int, seed: int = 1) -> list[Problem]:
     return [p for kind in KINDS for p in islice(of_kind(kind, ticks, rng), count)]
 
 
-def recorded_ticks() -> list[Tick]:
+def recorded_ticks() -> list[StepInput]:
     """What the paper's controller knew in closed loop, tick by tick."""
     return [tick for name in SCENARIOS for tick in ticks_of(*drive_scenario(name))]
 
@@ -69,7 +69,7 @@ def drive_scenario(name: str) -> tuple[Drive, Path]:
     return driven, make_path(scenario.points)
 
 
-def ticks_of(driven: Drive, path: Path) -> list[Tick]:
+def ticks_of(driven: Drive, path: Path) -> list[StepInput]:
     """Read off what was seen and commanded, what the controller knew at each tick."""
     frame, ticks = path_frame(path), []
     last: Array | None = None
@@ -80,18 +80,18 @@ def ticks_of(driven: Drive, path: Path) -> list[Tick]:
         Delta_x = np.zeros(4) if last is None else x - last
         Delta_x[1], last = wrap_angle(Delta_x[1]), x
         u = float(driven.steering[k - 1]) if k else 0.0
-        ticks.append(Tick(car.v_x, np.append(Delta_x, Y), u, set_point(frame, X)))
+        ticks.append(StepInput(car.v_x, np.append(Delta_x, Y), u, set_point(frame, X)))
     return ticks
 
 
-def perturbed(tick: Tick, rng: np.random.Generator) -> Tick:
+def perturbed(tick: StepInput, rng: np.random.Generator) -> StepInput:
     """Move a recorded tick to where bounds are active."""
     x = tick.x + rng.choice([0.3, 1.0, 3.0]) * SPREAD * rng.standard_normal(5)
     u = rng.uniform(-1.0, 1.0) * SETTINGS.max_angle
-    return Tick(tick.v_x * rng.uniform(0.7, 1.3), x, u, tick.r)
+    return StepInput(tick.v_x * rng.uniform(0.7, 1.3), x, u, tick.r)
 
 
-def task_of(kind: str, ticks: list[Tick], rng: np.random.Generator) -> Task:
+def task_of(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Task:
     """Draw a tick of a kind."""
     tick = ticks[rng.integers(len(ticks))]
     if kind != "recorded":
@@ -100,7 +100,7 @@ def task_of(kind: str, ticks: list[Tick], rng: np.random.Generator) -> Task:
     return Task(GAINS, half_width, tick)
 
 
-def of_kind(kind: str, ticks: list[Tick], rng: np.random.Generator) -> Iterator[Problem]:
+def of_kind(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Iterator[Problem]:
     """Draw programmes of a kind for ever."""
     while True:
         qp = pose(task_of(kind, ticks, rng))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.programme import Tick
+from ampc_ros.paper.qp_assembly import StepInput
 from tests.workshop.bench.bench_mpc import LIMITS, N_C, N_P, Answer, Q, R, symbolic_model
 
 PROXIMAL = {"daqp": {"eps_prox": 1e-4}}
@@ -34,7 +34,7 @@ def multiple_shooting(plugin: str, options: dict[str, Any]) -> Answer:
     solver = ca.qpsol("S", plugin, programme, options)
     bounds = dict(zip(("lbx", "ubx"), unknowns_between(), strict=True))
 
-    def answer(tick: Tick) -> float | None:
+    def answer(tick: StepInput) -> float | None:
         held = min(max(tick.u, -LIMITS.u_max), LIMITS.u_max)
         given = np.concatenate(((tick.v_x,), tick.x, (held, tick.r)))
         try:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_ros.mpc.gain_table import Gains
-from ampc_ros.mpc.programme import Tick
+from ampc_ros.paper.qp_assembly import StepInput
 from tests.workshop.bench.bench_mpc import Answer, casadi_qp, do_mpc_controller, numpy_daqp
 from tests.workshop.bench.bench_ours import (
     GAINS,
@@ -159,12 +159,12 @@ def note_on_ticks(count: int) -> str:
     )
 
 
-def move(gains: Gains, tick: Tick) -> float:
+def move(gains: Gains, tick: StepInput) -> float:
     """Right first move [rad]."""
     return exact_move(posed(Task(gains, math.inf, tick)), laguerre(gains)[0])[0]
 
 
-def share_wrong(answer: Answer, task: Sequence[Tick], right: Sequence[float]) -> float:
+def share_wrong(answer: Answer, task: Sequence[StepInput], right: Sequence[float]) -> float:
     """Share of wrong answers, or none given [%]."""
     given = [answer(tick) for tick in task]
     wrong = [

@@ -22,8 +22,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from launch_scripts.reporting.style import BLUE, ORANGE
 from launch_scripts.tuning.fitness import GENTLE, Node, fitness, prepared, repeat_for_gain_sets
-from launch_scripts.tuning.fleet import Fleet
-from launch_scripts.tuning.fleet_rows import FleetRun, run
+from launch_scripts.tuning.fleet_rows import FleetRun, map_rows, run_fleet
 from launch_scripts.tuning.workers import open_workers
 from sim_vehicle.parameters import load_vehicle
 
@@ -50,19 +49,18 @@ def generation(sizes: dict[str, int]) -> list[FleetRun]:
     return [repeat_for_gain_sets(shortened(prepared(node), sizes), rows) for node in nodes]
 
 
-def shortened(expedition: FleetRun, sizes: dict[str, int]) -> FleetRun:
+def shortened(fleet_run: FleetRun, sizes: dict[str, int]) -> FleetRun:
     """Keep the first plants and ticks of a node's drives."""
-    fleet, plants = expedition.fleet, sizes["plants"]
-    first = {name: getattr(fleet, name)[:plants] for name in Fleet._fields[:-2]}
-    first["ticks"] = np.minimum(first["ticks"], sizes["ticks"])
-    return expedition._replace(fleet=fleet._replace(**first))
+    fleet = map_rows(fleet_run.fleet, lambda array: array[: sizes["plants"]])
+    ticks = np.minimum(fleet.ticks, sizes["ticks"])
+    return fleet_run._replace(fleet=fleet._replace(ticks=ticks))
 
 
 def seconds_of(expeditions: Sequence[FleetRun]) -> float:
     """Wall time of driving a generation, one node after the other [s]."""
     begin = perf_counter()
     for expedition in expeditions:
-        run(expedition)
+        run_fleet(expedition)
     return perf_counter() - begin
 
 

@@ -1,4 +1,4 @@
-"""The programme of the `preview` formulation: the road ahead, the actuator, the tyre."""
+"""QP of one tick in the preview formulation: path ahead, actuator, bound of the tyre."""
 
 import math
 from typing import NamedTuple
@@ -10,36 +10,37 @@ from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import InternalModel
 from ampc_ros.mpc.laguerre import laguerre_sequence
 from ampc_ros.mpc.model import STATES, V_Y, Vehicle
-from ampc_ros.mpc.prediction import advance, quadratic_cost
-from ampc_ros.mpc.programme import blank_programme, count_active, solve
+from ampc_ros.mpc.prediction import advance_state, quadratic_cost
 from ampc_ros.mpc.qp import SOLVED, Qp
+from ampc_ros.mpc.qp_solver import blank_qp, count_active, solve_qp
 from ampc_ros.mpc.small_matrices import Scratch, dot, matrix, vector
+from ampc_ros.mpc.tick_result import QpResult
 from ampc_ros.preview.model import (
     E_PSI,
     E_Y,
     angle_bound,
     blank_model,
     road_steering,
-    sample,
+    sample_model,
 )
 
 SPEED_STEP = 0.02
-"""Relative change of speed along the horizon for which the model is not rebuilt."""
+"""Relative change of speed along the horizon below which the sampled model is reused."""
 FRICTION_SHARE = 1.3
-"""The angle of a linear tyre at this share of the friction is the bound: the real tyre's curve
-flattens towards its peak, which lies at about this multiple of the linear angle."""
+"""Bound of the angle: that of a linear tyre at this multiple of the friction limit. The curve of a
+real tyre flattens and reaches its peak at about this multiple of the linear angle."""
 HEAD_START = 0.1
-"""Cross-track error that is to vanish within the horizon [m]."""
+"""Cross-track error that is to vanish within the horizon; only more is returned gently [m]."""
 RETURN_RATE = 1.0
-"""Lateral speed of a return from farther away [m/s]."""
+"""Largest lateral speed of a return to the path [m/s]."""
 RETURN_SLOPE = 0.25
-"""Largest share of the speed in it."""
+"""Largest lateral speed of a return as a share of the speed."""
 RETURN_ACCELERATION = 1.5
-"""Lateral acceleration of it [m/s^2]."""
+"""Lateral acceleration of a return [m/s^2]."""
 
 
 class Road(NamedTuple):
-    """The horizon as path and speed give it; entry 0 lies one tick back."""
+    """Speed and curvature along the prediction horizon; entry 0 lies one tick back."""
 
     speed: Array
     """(H + 1,) [m/s]."""
@@ -48,47 +49,33 @@ class Road(NamedTuple):
 
 
 class Past(NamedTuple):
-    """What one step knows."""
+    """State and history at the start of the horizon."""
 
     x: Array
     """(5,) state relative to the path."""
     sent: Array
-    """(n + 1,) commands, the newest last [rad]."""
+    """(n + 1,) commands still in the delay, the newest last [rad]."""
     disturbance: Array
-    """(5,) change of the state per tick that the model does not explain."""
-
-
-class Plan(NamedTuple):
-    """What one step decides."""
-
-    steering: float
-    """Angle to command now [rad]."""
-    active: int
-    """Rows that hold with equality."""
-    slack: float
-    """[m]."""
-    iterations: int
-    status: int
+    """(5,) estimated change of the state per tick that the model does not explain."""
 
 
 @in_place
 def nominal_steering(
-    belief: InternalModel, road: Road, u: float, nominal: Array, bounds: Array
+    model: InternalModel, road: Road, u: float, nominal: Array, bounds: Array
 ) -> None:
-    """Fill the angles without a correction: the angle in force, on with the road's bends.
+    """Fill the angles without correction: the angle in force plus the changes of the path's angle.
 
-    Follows the changes of the angle that the road asks for, within the bounds and within
-    the largest increment. A bound that is left already is approached as fast as that allows, so
-    the sequence is feasible by construction.
+    The sequence respects angle bounds and largest increment. If the angle in force exceeds its
+    bound, it returns at the largest increment. The sequence is therefore feasible by construction.
 
     Args:
-        belief: Vehicle and limits.
-        road: The horizon.
+        model: Vehicle and limits.
+        road: Speed and curvature along the horizon.
         u: Angle in force [rad].
         nominal: Receives the angles (H,) [rad].
         bounds: Receives the bound of the angle at each step (H,) [rad].
     """
-    vehicle, limits = belief.vehicle, belief.limits
+    vehicle, limits = model.vehicle, model.limits
     step, a_y_max = limits.Delta_u_max, FRICTION_SHARE * limits.mu_g
     before, offset = u, u - road_angle(vehicle, road, 0, limits.T)
     for i in range(len(bounds)):
@@ -101,7 +88,7 @@ def nominal_steering(
 
 @in_place
 def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
-    """Angle that the road asks for at entry i of the horizon [rad]."""
+    """Return the angle that keeps the car on the path at entry i of the horizon [rad]."""
     before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
     change = (road.curvature[after] - road.curvature[before]) / ((after - before) * T)
     return road_steering(vehicle, road.speed[i], road.curvature[i], change)
@@ -109,7 +96,7 @@ def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
 
 @in_place
 def predict_on_road(
-    belief: InternalModel,
+    model: InternalModel,
     past: Past,
     road: Road,
     nominal: Array,
@@ -121,8 +108,8 @@ def predict_on_road(
     """Fill the cross-track error without correction (H,), and its response to eta, transposed.
 
     Args:
-        belief: Vehicle, steering and step.
-        past: State, commands still on their way, disturbance.
+        model: Vehicle, actuator and period.
+        past: State, commands in the delay, disturbance.
         road: Speed and curvature along the horizon.
         nominal: Angles without correction (H,) [rad].
         S: Running sum of the Laguerre functions (N_c, N): the correction at step i is S(i) eta.
@@ -130,33 +117,33 @@ def predict_on_road(
         Phi: Receives the response (N, H).
         scratch: Auxiliary memory.
     """
-    begin, n, v = scratch.used[0], belief.actuator.ticks, -1.0
+    begin, n, v = scratch.used[0], model.actuator.ticks, -1.0
     x, response = vector(scratch, STATES), matrix(scratch, len(Phi), STATES)
-    model, following = blank_model(scratch), vector(scratch, STATES)
+    sampled, following = blank_model(scratch), vector(scratch, STATES)
     for i in range(STATES):
         x[i] = past.x[i]
     for j in range(len(free)):
         if abs(road.speed[j + 1] - v) > SPEED_STEP * abs(v):
             v = road.speed[j + 1]
-            sample(belief.vehicle, v, belief.limits.T, belief.actuator, model, scratch)
+            sample_model(model.vehicle, v, model.limits.T, model.actuator, sampled, scratch)
         old, new = input_at(j - n - 1, past.sent, nominal), input_at(j - n, past.sent, nominal)
-        advance(model.A, x, following)
+        advance_state(sampled.A, x, following)
         for i in range(STATES):
-            x[i] += model.B_old[i] * old + model.B_new[i] * new
-            x[i] += model.D[i] * road.curvature[j + 1] + past.disturbance[i]
+            x[i] += sampled.B_old[i] * old + sampled.B_new[i] * new
+            x[i] += sampled.D[i] * road.curvature[j + 1] + past.disturbance[i]
         free[j] = x[E_Y]
         for k in range(len(Phi)):
-            advance(model.A, response[k], following)
+            advance_state(sampled.A, response[k], following)
             old, new = correction(S, j - n - 1, k), correction(S, j - n, k)
             for i in range(STATES):
-                response[k, i] += model.B_old[i] * old + model.B_new[i] * new
+                response[k, i] += sampled.B_old[i] * old + sampled.B_new[i] * new
             Phi[k, j] = response[k, E_Y]
     scratch.used[0] = begin
 
 
 @in_place
 def input_at(i: int, sent: Array, nominal: Array) -> float:
-    """Angle commanded at step i of the horizon; negative steps lie in the past [rad]."""
+    """Return the angle commanded at step i of the horizon; negative steps lie in the past [rad]."""
     if i >= 0:
         return float(nominal[i])
     return float(sent[max(len(sent) + i, 0)])
@@ -164,16 +151,19 @@ def input_at(i: int, sent: Array, nominal: Array) -> float:
 
 @in_place
 def correction(S: Array, i: int, k: int) -> float:
-    """Correction at step i under the k-th Laguerre function: none in the past, held in the end."""
+    """Return the correction at step i by the k-th Laguerre function.
+
+    It is zero in the past and constant after the control horizon.
+    """
     return float(S[min(i, len(S) - 1), k]) if i >= 0 else 0.0
 
 
 @in_place
 def return_path(past: Past, v_x: float, T: float, aim: Array) -> None:
-    """Fill the cross-track error to aim at, (H,) [m]: zero, or a gentle return from farther away.
+    """Fill the desired cross-track error (H,) [m]: zero, or a gentle return from a large error.
 
-    Without it a car that joins from metres away is pulled as hard as the tyres can; with it the
-    pull does not depend on the friction that the road really has.
+    Without it a car that joins from metres away is steered at the limit of its tyres. With it the
+    lateral acceleration does not depend on the friction of the road.
 
     Args:
         past: State relative to the path.
@@ -196,14 +186,14 @@ def return_path(past: Past, v_x: float, T: float, aim: Array) -> None:
 def steering_rows(
     qp: Qp, L: Array, S: Array, nominal: Array, bounds: Array, u: float, step: float
 ) -> None:
-    """Fill increment and angle bounds on nominal + correction, Eqs. (13), (14): 2 N_c rows.
+    """Fill the bounds of increment and angle on nominal + correction, Eqs. (13), (14): 2 N_c rows.
 
     Args:
         qp: Its first rows are filled.
         L: Laguerre functions (N_c, N).
         S: Their running sum (N_c, N).
         nominal: Angles without correction (H,), feasible [rad].
-        bounds: Of the angle at each step (H,) [rad].
+        bounds: Bound of the angle at each step (H,) [rad].
         u: Angle in force [rad].
         step: Largest increment per tick [rad].
     """
@@ -218,53 +208,62 @@ def steering_rows(
 
 @inlined
 def preview_plan(
-    belief: InternalModel,
+    model: InternalModel,
     gains: Gains,
     past: Past,
     road: Road,
     lateral: Array,
     angles: Array,
     scratch: Scratch,
-) -> Plan:
-    """Angle to command now: nominal steering plus the Laguerre correction of least cost.
+) -> QpResult:
+    """Compute the angle to command now: nominal steering plus the optimal Laguerre correction.
+
+    If the solver fails, the correction is zero.
 
     Args:
-        belief: Vehicle, steering, limits.
-        gains: N_p, N_c, N, alpha, Q, R; the increments of the CORRECTION are weighted with R.
-        past: State, commands on their way, disturbance.
+        model: Vehicle, limits, actuator.
+        gains: N_p, N_c, N, alpha, Q, R; R weights the increments of the CORRECTION.
+        past: State, commands in the delay, disturbance.
         road: Speed and curvature along the horizon of H = N_p + delay steps.
         lateral: Receives the predicted cross-track error (H,) [m].
         angles: Receives the angles to command at this and the following ticks (H,) [rad].
-        scratch: Memory for the programme.
+        scratch: Memory for the QP.
     """
     _, N_c, N, alpha, Q, R = gains
-    limits, H, u = belief.limits, len(lateral), past.sent[len(past.sent) - 1]
+    limits, H, u = model.limits, len(lateral), past.sent[len(past.sent) - 1]
+    # Angles without correction: they follow the curvature of the path within all bounds
     bounds, aim = vector(scratch, H), vector(scratch, H)
+    nominal_steering(model, road, u, angles, bounds)
+    # Increments of the correction, Eq. (24), and the angles that they add up to
     L, S, Phi = matrix(scratch, N_c, N), matrix(scratch, N_c, N), matrix(scratch, N, H)
-    nominal_steering(belief, road, u, angles, bounds)
     laguerre_sequence(alpha, L)
     running_sum(L, S)
-    predict_on_road(belief, past, road, angles, S, lateral, Phi, scratch)
+    # Predicted cross-track error without correction, and its response to the correction
+    predict_on_road(model, past, road, angles, S, lateral, Phi, scratch)
+    # Cost of the remaining error and of the increments, Eqs. (11), (17)
     return_path(past, road.speed[1], limits.T, aim)
     for j in range(H):
         aim[j] -= lateral[j]
-    qp = blank_programme(gains, output_steps(H, H, limits.half_width), scratch)
+    qp = blank_qp(gains, output_steps(H, H, limits.half_width), scratch)
     quadratic_cost(Phi, aim, L, (Q, R), qp.E, qp.K)
+    # Bounds of increment and angle, Eqs. (13), (14), and the soft lane about the path, Eq. (15)
     steering_rows(qp, L, S, angles, bounds, u, limits.Delta_u_max)
     if len(qp.K) > N:
         for j in range(H):
             aim[j] = -lateral[j]
         qp.E[N, N] = 2 * limits.slack_weight
         output_rows(qp, 2 * N_c, Phi, aim, limits.half_width)
+    # Solution
     eta, multipliers = vector(scratch, len(qp.K)), vector(scratch, len(qp.low))
-    iterations, status = solve(qp, limits, eta, multipliers, scratch)
+    iterations, status = solve_qp(qp, limits, eta, multipliers, scratch)
     if status != SOLVED:
         for j in range(N):
             eta[j] = 0.0
+    # Prediction and plan with the correction
     for k in range(N):
         for j in range(H):
             lateral[j] += eta[k] * Phi[k, j]
     slack = eta[N] if len(eta) > N else 0.0
     for i in range(H):
         angles[i] += dot(S[min(i, N_c - 1)], eta[:N])
-    return Plan(angles[0], count_active(multipliers), slack, iterations, status)
+    return QpResult(angles[0], count_active(multipliers), slack, iterations, status)
