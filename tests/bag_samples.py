@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -17,15 +17,48 @@ from std_msgs.msg import Bool, Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, plain_qos
 from ampc_msgs_config.recording import bag_writer as recording
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
-from launch_scripts.bags.bag import Entry
+from launch_scripts.bags.bag import open_bag
 
 TICK_NS = NANOSECONDS // 10
+
+
+class Entry(NamedTuple):
+    """One decoded message of a bag."""
+
+    topic: str
+    log_time_ns: int
+    message: Any
+    publish_time_ns: int
+
+
+def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
+    """Read the messages of a bag whose types are installed, of some topics or of all."""
+    with open_bag(bag) as opened:
+        usable = topics or [
+            topic for topic, type_name in opened.topics.items() if is_installed(type_name)
+        ]
+        for each in opened.messages(usable):
+            yield Entry(each.topic, each.log_time_ns, opened.decode(each), each.publish_time_ns)
+
+
+def is_complete(bag: Path) -> bool:
+    """Return whether all files of a bag were closed."""
+    with open_bag(bag) as opened:
+        return opened.is_complete
+
+
+def is_installed(type_name: str) -> bool:
+    """Return whether a message type is installed."""
+    try:
+        return bool(message_class(type_name))
+    except ValueError:
+        return False
 
 
 def sample(name: str, stamp_ns: int) -> Any:
@@ -80,7 +113,7 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
     with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
             qos = ros.LATCHED if name in LATCHED else ros.RELIABLE
-            bag.add_topic(full(name), type_name_of(message_type), [qos])
+            bag.add_topic(full(name), type_name_of(message_type), [plain_qos(qos)])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:
                 entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns), stamp_ns))

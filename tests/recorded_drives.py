@@ -34,7 +34,7 @@ class Bag:
         """Write a message at the time now, after all others."""
         self.now_ns += 1000
         if topic not in self.recording.topics:
-            self.recording.add_topic(topic, type_name_of(type(message)), [ros.RELIABLE])
+            self.recording.add_topic(topic, type_name_of(type(message)))
         self.recording.write(topic, serialize_message(message), self.now_ns, self.now_ns)
 
     def configuration(self, supervisor: Supervisor) -> None:

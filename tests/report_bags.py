@@ -20,7 +20,7 @@ def write_messages(bag: Path, topics: Messages) -> Path:
     """Writes messages at their log times, a chunk for every 20."""
     with Recording(bag) as recording:
         for name, messages in topics.items():
-            recording.add_topic(name, type_name_of(type(messages[0][1])), [ros.RELIABLE])
+            recording.add_topic(name, type_name_of(type(messages[0][1])))
         rows = [(time, name, each) for name, found in topics.items() for time, each in found]
         for k, (time_ns, name, message) in enumerate(sorted(rows, key=lambda row: row[0])):
             recording.write(name, serialize_message(message), time_ns, time_ns)

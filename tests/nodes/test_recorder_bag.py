@@ -21,14 +21,13 @@ from std_msgs.msg import String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes import recorder_node
-from ampc_msgs_config.nodes.recorder_node import CONTRACT
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, EVERYTHING
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
-from ampc_msgs_config.recording.bag_writer import EVERYTHING, Recording
+from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import read
 from launch_scripts.recover import main
-from tests.bag_samples import TICK_NS, sample, wait_for
+from tests.bag_samples import TICK_NS, read, sample, wait_for
 from tests.nodes.test_recorder_node import popen_recorder, start_recorder, stop, talker
 from tests.ros_nodes import add, ros_context, spin_until
 

@@ -21,15 +21,14 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Imu
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, TRANSFORMS
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, EVERYTHING, LATCHED, TRANSFORMS
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
-from ampc_msgs_config.recording.bag_writer import EVERYTHING
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import read
 from tests.bag_samples import (
     TICK_NS,
     contents,
     full,
+    read,
     read_with_rosbags,
     sample,
     wait_for,

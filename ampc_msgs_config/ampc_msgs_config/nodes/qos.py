@@ -1,0 +1,17 @@
+"""Quality of service of the topics."""
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Subscribers of measurements, for which only the newest sample counts."""
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Publishers, and subscribers that need every message. The depth lets a recorder fall behind for
+seconds while a drive in lock-step runs ten times as fast as real time."""
+COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+"""Commands, of which only the newest is used."""
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Path, configuration and stop request: late subscribers receive them, too."""

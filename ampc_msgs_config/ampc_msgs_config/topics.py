@@ -1,0 +1,38 @@
+"""Names of topics, frames and published quantities; needs neither ROS nor compiled code."""
+
+from ampc_msgs_config.types import Diagnosis, Supervision
+
+ODOM = "odom"
+REFERENCE_PATH = "reference_path"
+TARGET_SPEED = "target_speed"
+STEERING_COMMAND = "steering_command"
+STEERING_STATE = "steering_state"
+PREDICTED_PATH = "predicted_path"
+WIND = "wind"
+STOP_REQUEST = "stop_request"
+"""Latched std_msgs/Bool: request of controller or gate that the car stops."""
+TICK = "controller/tick"
+"""Inputs and decisions of a tick by name, one sensor_msgs/JointState with the command's stamp."""
+CONFIGURATION = "configuration"
+"""Below each node: latched std_msgs/String, YAML document from which the run can be repeated."""
+MARKERS = "markers"
+FAULTY = "faulty/"
+"""Prefix of inputs that the fault injector has passed on to the controller."""
+CLOCK = "/clock"
+DIAGNOSTICS = "/diagnostics"
+PARAMETER_EVENTS = "/parameter_events"
+ROSOUT = "/rosout"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
+"""Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
+ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
+"""Counters since the controller was configured."""
+TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
+"""Names in `controller/tick`."""
+QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
+CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
+
+MAP = "map"
+BASE_LINK = "base_link"
+STEERING_JOINT = "front_steering"
