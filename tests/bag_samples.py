@@ -62,7 +62,7 @@ def is_installed(type_name: str) -> bool:
 
 
 def sample(name: str, stamp_ns: int) -> Any:
-    """Gives a message for a topic of the contract, with content in every kind of field."""
+    """Return a message for a topic of the contract, with content in every kind of field."""
     if name == ros.ODOM:
         state = VehicleState(stamp_ns, x=1.5, y=-0.1, yaw=0.3, v_x=9.0, v_y=0.01, yaw_rate=-0.2)
         return ros.odometry_message(state)
@@ -108,7 +108,7 @@ def sample(name: str, stamp_ns: int) -> Any:
 
 
 def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
-    """Writes samples of all topics, a chunk a tick; gives them and their bytes."""
+    """Write samples of all topics, a chunk a tick; gives them and their bytes."""
     entries, data = [], []
     with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
@@ -124,17 +124,17 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
 
 
 def full(name: str) -> str:
-    """Gives the full name of a topic in the root namespace."""
+    """Return the full name of a topic in the root namespace."""
     return "/" + name.lstrip("/")
 
 
 def contents(entries: Iterable[Entry]) -> list[tuple[str, int, Any]]:
-    """Gives topic, log time and message of each entry."""
+    """Return topic, log time and message of each entry."""
     return [(entry.topic, entry.log_time_ns, entry.message) for entry in entries]
 
 
 def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
-    """Reads a bag with the library rosbags and the definitions in the bag, as `contents` does."""
+    """Read a bag with the library rosbags and the definitions in the bag, as `contents` does."""
     found = []
     with AnyReader([bag]) as reader:
         links = [link for link in reader.connections if link.msgtype != TF_MESSAGE]
@@ -147,7 +147,7 @@ def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
 
 
 def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Waits until a condition holds, and gives the time when it did [s]."""
+    """Wait until a condition holds, and gives the time when it did [s]."""
     limit = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < limit

@@ -23,7 +23,7 @@ class Bag:
         self.now_ns = 0
 
     def __enter__(self) -> "Bag":
-        """Give the open bag."""
+        """Return the open bag."""
         return self
 
     def __exit__(self, *_: object) -> None:

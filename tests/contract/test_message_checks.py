@@ -23,7 +23,7 @@ NUMBERS = [
 
 
 def inner(message: Any, fields: str) -> Any:
-    """Give a part of a message by the names of its fields."""
+    """Return a part of a message by the names of its fields."""
     for name in fields.split("."):
         message = getattr(message, name)
     return message
@@ -49,7 +49,7 @@ def test_odometry_in_another_frame_is_refused(frame: str) -> None:
 
 
 def turned(length: float, component: str = "w") -> Odometry:
-    """Give odometry with one component of its quaternion alone."""
+    """Return odometry with one component of its quaternion alone."""
     message = ros.odometry_message(STATE)
     orientation = message.pose.pose.orientation
     orientation.z = orientation.w = 0.0
@@ -70,7 +70,7 @@ def test_a_quaternion_is_a_rotation_where_its_length_is_near_one(
 
 
 def road(change: Callable[[Path], None]) -> Path:
-    """Give a path message with something changed."""
+    """Return a path message with something changed."""
     message = ros.path_message(np.array([(5.0 * i, 0.0) for i in range(20)]), 0)
     for pose in message.poses:
         pose.header = type(pose.header)(frame_id=ros.MAP)

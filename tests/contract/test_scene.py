@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes.scene import (
     CALM,
-    MOST_POINTS,
+    MAX_POINTS,
     VERMILION,
     WIND_TIME,
     Car,
@@ -30,7 +30,7 @@ LINE = np.array([[0.0, 0.0], [5.0, 0.0]])
 
 
 def drawn(view: View, car: Car = CAR) -> dict[tuple[str, int], Shape]:
-    """Give the shapes by name and number, which must tell them apart."""
+    """Return the shapes by name and number, which must tell them apart."""
     found = shapes(view, car)
     by_name = {(shape.name, shape.number): shape for shape in found}
     assert len(by_name) == len(found)
@@ -102,7 +102,7 @@ def test_wind_blows_from_the_car_in_its_own_direction() -> None:
 def test_paths_are_thinned_evenly_and_keep_their_ends(count: int) -> None:
     points = np.column_stack((np.arange(count), np.zeros(count)))
     thin = thinned(points)
-    assert len(thin) == min(count, MOST_POINTS)
+    assert len(thin) == min(count, MAX_POINTS)
     if count:
         assert (thin[0] == points[0]).all()
         assert (thin[-1] == points[-1]).all()

@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.marker_node import PERIOD, MarkerNode, main
-from ampc_msgs_config.nodes.scene import MOST_POINTS, VERMILION
+from ampc_msgs_config.nodes.scene import MAX_POINTS, VERMILION
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from tests.ros_nodes import add, ros_context, spin_until
 
@@ -89,7 +89,7 @@ class Viewer(Node):
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    """Give a viewer that has not looked yet, beside a node that draws."""
+    """Return a viewer that has not looked yet, beside a node that draws."""
     with ros_context() as executor:
         node = Viewer(executor)
         add(executor, node, MarkerNode())
@@ -97,7 +97,7 @@ def viewer() -> Iterator[Viewer]:
 
 
 def drawer(viewer: Viewer) -> MarkerNode:
-    """Give the node that draws."""
+    """Return the node that draws."""
     return next(node for node in viewer.all.get_nodes() if isinstance(node, MarkerNode))
 
 
@@ -112,7 +112,7 @@ def test_it_listens_only_while_somebody_looks(viewer: Viewer) -> None:
     assert {each.topic_name for each in node.inputs} == {f"/{name}" for name in TYPES}
     viewer.destroy_subscription(viewer.eye)
     spin_until(viewer.all, lambda: not node.inputs)
-    assert not node.known
+    assert not node.values
 
 
 def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer: Viewer) -> None:
@@ -125,7 +125,7 @@ def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer
     arrow = viewer.picture_with(ros.WIND, ros.wind_message(0, (0.0, 9.0)), ("wind", 0))
     assert arrow.points[1].y > arrow.points[0].y == 4.0
     picture = viewer.picture()
-    assert len(picture["reference_path", 0].points) == MOST_POINTS
+    assert len(picture["reference_path", 0].points) == MAX_POINTS
     assert picture["reference_path", 0].points[-1].x == LONG[-1, 0]
     for each in picture.values():
         assert each.header.frame_id == ros.MAP
