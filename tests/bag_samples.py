@@ -108,7 +108,7 @@ def sample(name: str, stamp_ns: int) -> Any:
 
 
 def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
-    """Write samples of all topics, a chunk a tick; gives them and their bytes."""
+    """Write samples of all topics, one chunk for each tick; return them and their bytes."""
     entries, data = [], []
     with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
@@ -147,7 +147,7 @@ def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
 
 
 def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Wait until a condition holds, and gives the time when it did [s]."""
+    """Wait until a condition holds, and return the time when it does [s]."""
     limit = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < limit

@@ -17,7 +17,7 @@ from mcap.summary import Summary
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.recording.message_types import TYPES, message_class
-from launch_scripts.bags.salvage import MAGIC, ZSTD_MAGIC, salvage, uncompressed
+from launch_scripts.bags.salvage import MAGIC, ZSTD_MAGIC, is_closed, salvage, uncompressed
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE = "the bag is stored in SQLite; `ros2 bag convert` converts it to MCAP"
@@ -188,7 +188,6 @@ def open_file(file: Path, stack: ExitStack) -> BagFile:
     with damage_in_one_line(file):
         stream = stack.enter_context(open_decompressed(file))
         was_closed = is_closed(stream)
-        stream.seek(0)
         if not was_closed:
             stream = stack.enter_context(open_salvaged(stream))
         reader = SeekingReader(stream)
@@ -227,13 +226,6 @@ def open_salvaged(stream: IO[bytes]) -> Iterator[IO[bytes]]:
         salvage(stream, copy, compress=False)
         copy.seek(0)
         yield copy
-
-
-def is_closed(stream: IO[bytes]) -> bool:
-    """Return whether an MCAP file ends with the magic number, as its writer closes it."""
-    size = stream.seek(0, 2)
-    stream.seek(max(0, size - len(MAGIC)))
-    return size > len(MAGIC) and stream.read() == MAGIC
 
 
 def is_full_index(summary: Summary) -> bool:

@@ -4,7 +4,7 @@ No message is kept, because a bag of an hour has a million. Only `odom` is requi
 """
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -23,6 +23,13 @@ WANTED = (
     *(topics.WIND, topics.REFERENCE_PATH, topics.PREDICTED_PATH, topics.TICK),
     *(topics.STOP_REQUEST, *topics.CONFIGURATIONS, *topics.QUANTITIES),
 )
+UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
+    topics.ODOM: ros.vehicle_state,
+    topics.STEERING_COMMAND: ros.steering_angle,
+    topics.STEERING_STATE: ros.steering_angle,
+    topics.TARGET_SPEED: ros.target_speed,
+}
+"""Functions that return stamp [ns] and values of a message, by topic."""
 MAX_PREDICTIONS = 1000
 """At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
 FIRST_STAMP = 10 * NANOSECONDS
@@ -138,10 +145,10 @@ class Column:
         """Return the number of rows."""
         return len(self.stamps)
 
-    def add(self, stamp_ns: int, log_time_ns: int, *values: float) -> None:
+    def add(self, log_time_ns: int, stamp_ns: int, *values: float) -> None:
         """Append a row."""
-        self.stamps.append(stamp_ns)
         self.log_times.append(log_time_ns)
+        self.stamps.append(stamp_ns)
         self.numbers.extend(values)
 
     def reject(self, error: Exception) -> None:
@@ -221,36 +228,26 @@ class Collector:
         Raises:
             ValueError: The content violates the contract of the topic.
         """
-        if name == topics.ODOM:
-            stamp_ns, *state = ros.vehicle_state(message)
-            column.add(stamp_ns, log_time_ns, *state)
-        elif name in (topics.STEERING_COMMAND, topics.STEERING_STATE):
-            column.add(*stamped(ros.steering_angle(message), log_time_ns))
-        elif name == topics.TARGET_SPEED:
-            column.add(*stamped(ros.target_speed(message), log_time_ns))
+        if name in UNPACK:
+            column.add(log_time_ns, *UNPACK[name](message))
         elif name == topics.WIND:
-            wind = message.vector
-            column.add(ros.nanoseconds(message.header.stamp), log_time_ns, wind.x, wind.y)
+            stamp_ns, wind = ros.nanoseconds(message.header.stamp), message.vector
+            column.add(log_time_ns, stamp_ns, wind.x, wind.y)
         elif name == topics.TICK:
             # All rows have the quantities of the first message.
             self.tick_names = self.tick_names or list(message.name)
             if message.name != self.tick_names or len(message.position) != len(self.tick_names):
                 raise ValueError("its quantities are not those of the first message")
-            column.add(ros.nanoseconds(message.header.stamp), log_time_ns, *message.position)
+            column.add(log_time_ns, ros.nanoseconds(message.header.stamp), *message.position)
         elif name == topics.REFERENCE_PATH:
             points = path_array(message)
             if not self.paths or not np.array_equal(points, self.paths[-1][1]):
                 self.paths.append((log_time_ns, points))
-                column.add(0, log_time_ns, float(len(points)))
+                column.add(log_time_ns, 0, float(len(points)))
         elif name in topics.CONFIGURATIONS:
             self.texts[name.partition("/")[0]] = message.data
         else:  # Bool and Float64 have no stamp
-            column.add(0, log_time_ns, float(message.data))
-
-
-def stamped(value: ros.Stamped, log_time_ns: int) -> tuple[int, int, float]:
-    """Return the row of a number with a stamp."""
-    return value.stamp_ns, log_time_ns, value.value
+            column.add(log_time_ns, 0, float(message.data))
 
 
 def path_array(message: Any) -> Array:

@@ -13,7 +13,7 @@ from ampc_msgs_config.recording.bag_metadata import (
     write_metadata,
 )
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import bag_files, check_format, is_closed, open_decompressed
+from launch_scripts.bags.bag import bag_files, check_format, open_decompressed
 from launch_scripts.bags.salvage import Salvage, salvage
 
 SILENCE = NANOSECONDS
@@ -96,10 +96,6 @@ def merge_topics(salvages: Iterable[Salvage]) -> dict[str, Topic]:
 
 def is_complete(files: Sequence[Path], salvages: Sequence[Salvage], old: dict[str, Any]) -> bool:
     """Return whether end marks, index and `metadata.yaml` of a bag are complete."""
-    for file in files:
-        with open_decompressed(file) as stream:
-            if not is_closed(stream):
-                return False
     return (
         all(each.is_undamaged for each in salvages)
         and old.get("message_count") == sum(each.extent.count for each in salvages)
@@ -132,10 +128,8 @@ def losses(file: Path, result: Salvage) -> list[str]:
         lines.append(f"{file}: the last {result.tail_bytes} bytes are a cut record{kept}")
     elif not result.reached_end:
         lines.append(f"{file}: was not closed; no record is cut")
-    else:
-        with open_decompressed(file) as stream:
-            if not is_closed(stream):
-                lines.append(f"{file}: only the index was missing")
+    elif not result.was_closed:
+        lines.append(f"{file}: only the index was missing")
     if result.damaged:
         lines.append(
             f"{file}: {result.damaged} damaged chunks or records, "

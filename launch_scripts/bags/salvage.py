@@ -56,6 +56,8 @@ class Salvage:
     topics: dict[str, Topic] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
+    was_closed: bool = False
+    """Whether the file ends with the magic number."""
     reached_end: bool = False
     """Whether the data section is complete, up to its end record."""
     tail_bytes: int = 0
@@ -69,8 +71,8 @@ class Salvage:
 
     @property
     def is_undamaged(self) -> bool:
-        """Whether nothing was lost."""
-        return self.reached_end and not self.damaged
+        """Whether nothing was lost, and nothing is missing but perhaps `metadata.yaml`."""
+        return self.was_closed and self.reached_end and not self.damaged
 
 
 class Record(NamedTuple):
@@ -88,13 +90,14 @@ def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> S
     """Copy all undamaged records.
 
     Args:
-        source: MCAP file, positioned at its start.
+        source: MCAP file.
         target: Receives a complete MCAP file.
         compress: Whether the chunks of the target are compressed.
 
     Raises:
         ValueError: The source does not begin as an MCAP file.
     """
+    was_closed = is_closed(source)
     if source.read(len(MAGIC)) != MAGIC:
         raise ValueError("the file does not begin as MCAP files do")
     index = read_index(source)
@@ -106,7 +109,17 @@ def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> S
         copier.copy_record(record)
     copier.start("ros2", "")
     copier.writer.finish()
+    copier.result.was_closed = was_closed
     return copier.result
+
+
+def is_closed(stream: IO[bytes]) -> bool:
+    """Return whether an MCAP file ends with the magic number; leave the stream at its start."""
+    size = stream.seek(0, 2)
+    stream.seek(max(0, size - len(MAGIC)))
+    has_magic = stream.read() == MAGIC
+    stream.seek(0)
+    return size > len(MAGIC) and has_magic
 
 
 def records(stream: IO[bytes]) -> Iterator[Record]:

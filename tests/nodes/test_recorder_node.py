@@ -1,4 +1,4 @@
-"""The recorder: nothing is lost, no time is wrong, and it ends cleanly."""
+"""The recorder: no loss, correct times, orderly shutdown."""
 
 import signal
 import subprocess
@@ -13,15 +13,32 @@ import pytest
 import rclpy
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
-from rosbags.interfaces import QosDurability, QosReliability
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import dump_qos_v9
 from sensor_msgs.msg import Imu
+from std_msgs.msg import String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, EVERYTHING, LATCHED, TRANSFORMS
+from ampc_msgs_config.nodes.recorder_node import (
+    CONTRACT,
+    EVERYTHING,
+    LATCHED,
+    TRANSFORMS,
+    plain_qos,
+    take_serialized,
+)
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.types import NANOSECONDS
 from tests.bag_samples import (
@@ -34,6 +51,7 @@ from tests.bag_samples import (
     wait_for,
     write_bag,
 )
+from tests.ros_nodes import add, ros_context
 
 TICKS = 200
 
@@ -65,9 +83,55 @@ def test_messages_without_a_clock_are_kept_until_the_end() -> None:
     assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
 
 
+def test_take_serialized_returns_waiting_messages_then_none() -> None:
+    with ros_context() as executor:
+        node = rclpy.create_node("reader")
+        add(executor, node)
+        publisher = node.create_publisher(String, "words", EVERYTHING)
+        subscription = node.create_subscription(String, "words", print, EVERYTHING, raw=True)
+        wait_for(lambda: publisher.get_subscription_count() > 0)
+        assert take_serialized(subscription) is None
+        publisher.publish(String(data="first"))
+        taken: list[Any] = []
+        wait_for(lambda: bool(taken.append(take_serialized(subscription)) or taken[-1]))
+        data, info = taken[-1]
+        assert deserialize_message(data, String).data == "first"
+        assert {"source_timestamp", "received_timestamp", "publication_sequence_number"} <= {*info}
+        assert take_serialized(subscription) is None
+
+
+def test_plain_qos_is_what_rosbag2_writes() -> None:
+    profile = QoSProfile(
+        depth=7,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        deadline=Duration(seconds=3, nanoseconds=5),
+    )
+    (qos,) = dump_qos_v9([plain_qos(profile)])
+    assert qos == {
+        "history": "keep_last",
+        "depth": 7,
+        "reliability": "best_effort",
+        "durability": "transient_local",
+        "deadline": {"sec": 3, "nsec": 5},
+        "lifespan": {"sec": 0, "nsec": 0},
+        "liveliness": "system_default",
+        "liveliness_lease_duration": {"sec": 0, "nsec": 0},
+        "avoid_ros_namespace_conventions": False,
+    }
+    plain: Any
+    for policy, plain in {
+        HistoryPolicy: QosHistory,
+        ReliabilityPolicy: QosReliability,
+        DurabilityPolicy: QosDurability,
+        LivelinessPolicy: QosLiveliness,
+    }.items():
+        assert all(plain(each).name == each.name for each in policy)
+
+
 @contextmanager
 def talker() -> Iterator[Node]:
-    """Return a node of this process that publishes."""
+    """Create a node of this process that publishes."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node: Any = rclpy.create_node("talker", context=context)
@@ -85,14 +149,14 @@ def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
 
 
 def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
-    """Start the recorder; gives its process once it is ready."""
+    """Start the recorder; return its process when it is ready."""
     process = popen_recorder(f"output:={bag}", *parameters)
     wait_for((bag / "metadata.yaml").exists)
     return process
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
-    """End a process by a signal; gives its exit code and all that it said."""
+    """End a process by a signal; return its exit code and its output."""
     process.send_signal(number)
     said, _ = process.communicate(timeout=10)
     return process.returncode, said

@@ -89,7 +89,7 @@ class BaseNode(Node):
         """Publish the final messages of this node."""
 
     def flush(self) -> None:
-        """Wait until all subscribers have the final messages; longer if a recorder is subscribed."""
+        """Wait until all subscribers have the final messages; longer with a recorder."""
         until = time.monotonic() + (FLUSH_TIMEOUT if self.is_recorded else SHUTDOWN_TIMEOUT)
         for publisher in self.publishers:
             rest = max(until - time.monotonic(), 0.0)

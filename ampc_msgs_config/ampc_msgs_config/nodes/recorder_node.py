@@ -23,14 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
@@ -46,20 +39,16 @@ HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
 """Wall time without a message after which no message is in flight [s]."""
-EVERYTHING = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
-)
+KEEP_ALL: dict[str, Any] = {"depth": 0, "history": HistoryPolicy.KEEP_ALL}
+EVERYTHING = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """Request of a recorder."""
 LATCHED_EVERYTHING = QoSProfile(
-    depth=0,
-    history=HistoryPolicy.KEEP_ALL,
+    **KEEP_ALL,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The same for topics whose last message a late subscriber receives, too."""
-BEST_EFFORT = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
-)
+BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
     name: message_class(type_) for name, type_ in TYPES.items() if name != topics.MARKERS
@@ -257,20 +246,20 @@ def take_serialized(subscription: Subscription) -> tuple[bytes, dict[str, int]] 
     return taken
 
 
-def plain_qos(profile: QoSProfile) -> Qos:
+def plain_qos(profile: QoSProfile) -> interfaces.Qos:
     """Return a quality of service as plain data; the enumerations have the same numbers."""
 
-    def duration(value: Duration) -> QosTime:
-        return QosTime(*divmod(value.nanoseconds, NANOSECONDS))
+    def duration(value: Duration) -> interfaces.QosTime:
+        return interfaces.QosTime(*divmod(value.nanoseconds, NANOSECONDS))
 
-    return Qos(
-        QosHistory(profile.history),
+    return interfaces.Qos(
+        interfaces.QosHistory(profile.history),
         profile.depth,
-        QosReliability(profile.reliability),
-        QosDurability(profile.durability),
+        interfaces.QosReliability(profile.reliability),
+        interfaces.QosDurability(profile.durability),
         duration(profile.deadline),
         duration(profile.lifespan),
-        QosLiveliness(profile.liveliness),
+        interfaces.QosLiveliness(profile.liveliness),
         duration(profile.liveliness_lease_duration),
         profile.avoid_ros_namespace_conventions,
     )

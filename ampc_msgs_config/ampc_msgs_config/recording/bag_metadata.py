@@ -101,15 +101,28 @@ def metadata_mapping(
     files: Mapping[str, Extent], topics: Iterable[Topic], kept: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the content of `metadata.yaml`."""
-    whole = Extent()
+    total = Extent()
     for extent in files.values():
-        whole.include(extent)
+        total.include(extent)
+    topic_entries = [
+        {
+            "topic_metadata": {
+                "name": topic.name,
+                "type": topic.type_name,
+                "serialization_format": topic.encoding,
+                "offered_qos_profiles": topic.offers,
+                "type_description_hash": topic.type_hash,
+            },
+            "message_count": topic.extent.count,
+        }
+        for topic in topics
+    ]
     information = {
         "version": VERSION,
         "storage_identifier": "mcap",
         "relative_file_paths": list(files),
-        **extent_mapping(whole),
-        "topics_with_message_count": [topic_mapping(topic) for topic in topics],
+        **extent_mapping(total),
+        "topics_with_message_count": topic_entries,
         "compression_format": "",
         "compression_mode": "",
         "files": [{"path": name, **extent_mapping(extent)} for name, extent in files.items()],
@@ -125,18 +138,4 @@ def extent_mapping(extent: Extent) -> dict[str, Any]:
         "starting_time": {"nanoseconds_since_epoch": extent.start_ns},
         "duration": {"nanoseconds": extent.end_ns - extent.start_ns},
         "message_count": extent.count,
-    }
-
-
-def topic_mapping(topic: Topic) -> dict[str, Any]:
-    """Return a topic as rosbag2 states it."""
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type_name,
-            "serialization_format": topic.encoding,
-            "offered_qos_profiles": topic.offers,
-            "type_description_hash": topic.type_hash,
-        },
-        "message_count": topic.extent.count,
     }
