@@ -92,9 +92,10 @@ def test_take_serialized_returns_waiting_messages_then_none() -> None:
         wait_for(lambda: publisher.get_subscription_count() > 0)
         assert take_serialized(subscription) is None
         publisher.publish(String(data="first"))
-        taken: list[Any] = []
-        wait_for(lambda: bool(taken.append(take_serialized(subscription)) or taken[-1]))
-        data, info = taken[-1]
+        taken = None
+        while taken is None:
+            taken = take_serialized(subscription)
+        data, info = taken
         assert deserialize_message(data, String).data == "first"
         assert {"source_timestamp", "received_timestamp", "publication_sequence_number"} <= {*info}
         assert take_serialized(subscription) is None
