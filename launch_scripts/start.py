@@ -21,8 +21,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.bags.bag import is_complete
-from launch_scripts.recover import default_output, recover
+from launch_scripts.bags.bag import open_bag
+from launch_scripts.bags.recovery import default_output, recover
 from launch_scripts.run.environment import ros_environment
 from launch_scripts.run.options import options, prepare
 from launch_scripts.run.processes import Processes
@@ -182,7 +182,9 @@ def finish(run: Run, ending: Ending, console: Console) -> int:
         console.print(
             f"bag, report.html, metrics.json, drive.png and logs: {run.folder}", markup=False
         )
-        if not is_complete(run.bag):
+        with open_bag(run.bag) as bag:
+            is_complete = bag.is_complete
+        if not is_complete:
             recover(run.bag, default_output(run.bag))
             console.print(
                 "the bag was not closed; all but its last moments, whole: "

@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -17,19 +17,52 @@ from std_msgs.msg import Bool, Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, plain_qos
 from ampc_msgs_config.recording import bag_writer as recording
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
-from launch_scripts.bags.bag import Entry
+from launch_scripts.bags.bag import open_bag
 
 TICK_NS = NANOSECONDS // 10
 
 
+class Entry(NamedTuple):
+    """One decoded message of a bag."""
+
+    topic: str
+    log_time_ns: int
+    message: Any
+    publish_time_ns: int
+
+
+def read(bag: Path, topics: Collection[str] = ()) -> Iterator[Entry]:
+    """Read the messages of a bag whose types are installed, of some topics or of all."""
+    with open_bag(bag) as opened:
+        usable = topics or [
+            topic for topic, type_name in opened.topics.items() if is_installed(type_name)
+        ]
+        for each in opened.messages(usable):
+            yield Entry(each.topic, each.log_time_ns, opened.decode(each), each.publish_time_ns)
+
+
+def is_complete(bag: Path) -> bool:
+    """Return whether all files of a bag were closed."""
+    with open_bag(bag) as opened:
+        return opened.is_complete
+
+
+def is_installed(type_name: str) -> bool:
+    """Return whether a message type is installed."""
+    try:
+        return bool(message_class(type_name))
+    except ValueError:
+        return False
+
+
 def sample(name: str, stamp_ns: int) -> Any:
-    """Gives a message for a topic of the contract, with content in every kind of field."""
+    """Return a message for a topic of the contract, with content in every kind of field."""
     if name == ros.ODOM:
         state = VehicleState(stamp_ns, x=1.5, y=-0.1, yaw=0.3, v_x=9.0, v_y=0.01, yaw_rate=-0.2)
         return ros.odometry_message(state)
@@ -75,12 +108,12 @@ def sample(name: str, stamp_ns: int) -> Any:
 
 
 def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
-    """Writes samples of all topics, a chunk a tick; gives them and their bytes."""
+    """Write samples of all topics, one chunk for each tick; return them and their bytes."""
     entries, data = [], []
     with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
             qos = ros.LATCHED if name in LATCHED else ros.RELIABLE
-            bag.add_topic(full(name), type_name_of(message_type), [qos])
+            bag.add_topic(full(name), type_name_of(message_type), [plain_qos(qos)])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:
                 entries.append(Entry(full(name), stamp_ns, sample(name, stamp_ns), stamp_ns))
@@ -91,17 +124,17 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
 
 
 def full(name: str) -> str:
-    """Gives the full name of a topic in the root namespace."""
+    """Return the full name of a topic in the root namespace."""
     return "/" + name.lstrip("/")
 
 
 def contents(entries: Iterable[Entry]) -> list[tuple[str, int, Any]]:
-    """Gives topic, log time and message of each entry."""
+    """Return topic, log time and message of each entry."""
     return [(entry.topic, entry.log_time_ns, entry.message) for entry in entries]
 
 
 def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
-    """Reads a bag with the library rosbags and the definitions in the bag, as `contents` does."""
+    """Read a bag with the library rosbags and the definitions in the bag, as `contents` does."""
     found = []
     with AnyReader([bag]) as reader:
         links = [link for link in reader.connections if link.msgtype != TF_MESSAGE]
@@ -114,7 +147,7 @@ def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
 
 
 def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Waits until a condition holds, and gives the time when it did [s]."""
+    """Wait until a condition holds, and return the time when it does [s]."""
     limit = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < limit

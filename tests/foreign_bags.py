@@ -1,6 +1,6 @@
-"""Bags as others write them: `ros2 bag record` with its presets, and what is left after a kill."""
+"""Bags of other recorders: `ros2 bag record` with its presets, and files after a kill."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,13 +45,22 @@ class Sent(NamedTuple):
         return ros.odometry_message(state)
 
 
-def write_file(file: Path, messages: Iterable[Sent], **options: Any) -> None:
-    """Writes an MCAP file as rosbag2 does, with an attachment and a record of metadata.
+def write_file(
+    file: Path,
+    messages: Iterable[Sent],
+    *,
+    encoding: str = "cdr",
+    pack: Callable[[bytes], bytes] = bytes,
+    **options: Any,
+) -> None:
+    """Write an MCAP file as rosbag2 does, with an attachment and a metadata record.
 
     Args:
-        file: To be made.
-        messages: In their order.
-        options: Of `mcap.writer.Writer`; by default uncompressed chunks without CRC.
+        file: New file.
+        messages: Messages in their order.
+        encoding: Serialisation format that the file states.
+        pack: Applied to the content of each message.
+        options: Options of `mcap.writer.Writer`; by default uncompressed chunks without CRC.
     """
     with file.open("wb") as stream:
         defaults = {"compression": CompressionType.NONE, "enable_crcs": False}
@@ -59,12 +68,14 @@ def write_file(file: Path, messages: Iterable[Sent], **options: Any) -> None:
         writer.start(profile="ros2", library="libmcap 1.1.0")
         writer.add_metadata("rosbag2", {"ROS_DISTRO": "humble"})
         writer.add_attachment(1, 2, "car.yaml", "text/yaml", b"mass: 1500.0\n")
-        add_messages(writer, messages)
+        add_messages(writer, messages, encoding, pack)
         writer.finish()
 
 
-def add_messages(writer: Any, messages: Iterable[Sent]) -> None:
-    """Writes messages, and before the first of a topic what rosbag2 says about it."""
+def add_messages(
+    writer: Any, messages: Iterable[Sent], encoding: str, pack: Callable[[bytes], bytes]
+) -> None:
+    """Write messages, and before the first of a topic its channel as rosbag2 does."""
     type_name = "nav_msgs/msg/Odometry"
     definition = define(type_name)
     schema = writer.register_schema(type_name, "ros2msg", definition.text.encode())
@@ -75,7 +86,7 @@ def add_messages(writer: Any, messages: Iterable[Sent]) -> None:
     channels: dict[str, int] = {}
     for sent in messages:
         if sent.topic not in channels:
-            channels[sent.topic] = writer.register_channel(sent.topic, "cdr", schema, metadata)
-        data = serialize_message(sent.message)
+            channels[sent.topic] = writer.register_channel(sent.topic, encoding, schema, metadata)
+        data = pack(serialize_message(sent.message))
         times = {"log_time": sent.log_time_ns, "publish_time": sent.publish_time_ns}
         writer.add_message(channels[sent.topic], data=data, sequence=sent.number, **times)

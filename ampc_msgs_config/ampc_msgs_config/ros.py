@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config.frames import quaternion_from_yaw, yaw_from_quaternion
@@ -42,6 +43,19 @@ class Stamped(NamedTuple):
 
     stamp_ns: int
     value: float
+
+
+def decode(data: bytes, message_class: Any) -> Any:
+    """Return a message from its CDR bytes.
+
+    Raises:
+        ValueError: The bytes do not match the type.
+    """
+    try:
+        return deserialize_message(data, message_class)
+    except Exception as error:  # the middleware raises several types
+        name = message_class.__name__
+        raise ValueError(f"{len(data)} bytes cannot be decoded as {name}") from error
 
 
 def time_message(stamp_ns: int) -> Time:

@@ -1,87 +1,146 @@
-"""Read bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
+"""Open bags: our own, those of `ros2 bag record`, and what a killed recorder left of one."""
 
 import heapq
+import re
+import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator
-from functools import partial
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import zstandard
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Channel, Schema
-from rclpy.serialization import deserialize_message
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 
+from ampc_msgs_config import ros
 from ampc_msgs_config.recording.message_types import TYPES, message_class
-from launch_scripts.bags.chunks import ordered
-from launch_scripts.bags.mcap_records import MAGIC
-from launch_scripts.bags.salvage import salvage
+from launch_scripts.bags.salvage import MAGIC, ZSTD_MAGIC, is_closed, salvage, uncompressed
 
-SQLITE = b"SQLite format 3\0"
-ZSTD = b"\x28\xb5\x2f\xfd"
+SQLITE_MAGIC = b"SQLite format 3\0"
+SQLITE = "the bag is stored in SQLite; `ros2 bag convert` converts it to MCAP"
 PROFILES = ("ros2", "")
-BLOCK = 1 << 20
-Decoder = Callable[[bytes], Any]
 
 
-class Entry(NamedTuple):
-    """One message of a bag."""
+class BagMessage(NamedTuple):
+    """One serialised message of a bag."""
 
     topic: str
     """Full name, such as `/odom`."""
     log_time_ns: int
-    """Time that a player keeps: simulated time where the clock was simulated [ns]."""
-    message: Any
-    """The ROS message."""
+    """Time used by a player: simulated time if the clock was simulated [ns]."""
     publish_time_ns: int
     """Wall time of publishing [ns]."""
+    data: bytes
+    """The message as CDR."""
 
 
-def read(bag: Path, topics: Collection[str] = (), lazy: Collection[str] = ()) -> Iterator[Entry]:
-    """Give the messages of a bag in the order of their log times.
+class BagFile(NamedTuple):
+    """One file of an open bag."""
+
+    path: Path
+    stream: IO[bytes]
+    """Complete MCAP file: the file itself, or a temporary copy, decompressed and salvaged."""
+    types: dict[str, str]
+    """Message type of each topic."""
+    encodings: dict[str, str]
+    """Serialisation format of each topic."""
+    has_index: bool
+    """Whether the summary lists all chunks, channels and schemas."""
+    was_closed: bool
+    """Whether the writer closed the file."""
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Return the messages of the given topics in the order of their log times."""
+        self.stream.seek(0)
+        # SeekingReader checks no CRC where it finds no index of chunks
+        reader_class = SeekingReader if self.has_index else NonSeekingReader
+        with damage_in_one_line(self.path):
+            reader = reader_class(self.stream, validate_crcs=True)
+            for _, channel, message in reader.iter_messages(topics):
+                data = uncompressed(message.data)
+                yield BagMessage(channel.topic, message.log_time, message.publish_time, data)
+
+
+class Bag(NamedTuple):
+    """An open bag. `open_bag` creates it; all other information is read from this object."""
+
+    path: Path
+    files: list[BagFile]
+    is_complete: bool
+    """Whether the writer closed every file."""
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topics of the bag with their types, such as `nav_msgs/msg/Odometry`."""
+        return {topic: type_ for file in self.files for topic, type_ in file.types.items()}
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Return the messages of the given topics (full names) in the order of their log times.
+
+        Messages with the same log time keep the order in which they were recorded.
+
+        Raises:
+            ValueError: A topic has a type that violates the contract, or is not serialised as CDR,
+                or a file is damaged; in one line.
+        """
+        for fault in filter(None, map(self.wrong_type, topics)):
+            raise ValueError(f"{self.path}: {fault}")
+        for file in self.files:
+            for topic in file.encodings.keys() & topics:
+                if (encoding := file.encodings[topic]) != "cdr":
+                    raise ValueError(f"{file.path}: {topic} is serialised as {encoding!r}, not CDR")
+        parts = [file.messages(topics) for file in self.files]
+        return heapq.merge(*parts, key=lambda message: message.log_time_ns)
+
+    def decode(self, message: BagMessage) -> Any:
+        """Return a message of this bag as a ROS message.
+
+        Raises:
+            ValueError: The type is not installed, or the bytes do not match the type.
+        """
+        return ros.decode(message.data, message_class(self.topics[message.topic]))
+
+    def wrong_type(self, topic: str) -> str:
+        """Return one line if the type of a topic violates the contract, otherwise ''."""
+        names = (name for name in TYPES if topic.endswith("/" + name.lstrip("/")))
+        required = TYPES[name] if (name := next(names, "")) else ""
+        type_name = self.topics.get(topic, required)
+        is_right = not required or type_name == required
+        return "" if is_right else f"{topic} holds {type_name}, not {required}"
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag.
+
+    A compressed file is decompressed once. A file that was not closed is salvaged once: all that
+    is undamaged in it can be read.
 
     Args:
-        bag: Folder of the bag, or one of its files.
-        topics: Full names of the topics wanted; empty means all.
-        lazy: Full names of those whose messages are decoded when they are called, for a reader
-            who needs few of them.
-
-    Returns:
-        Messages of types that are installed here; others are skipped. Those of one log time keep
-        the order in which they were recorded. A file that ends early gives all that is whole in
-        it; `is_complete` tells.
+        path: Folder of the bag, or one of its files.
 
     Raises:
-        ValueError: One line that names the file: there is no bag, it cannot be understood, or a
-            wanted topic of the contract has another type there.
+        ValueError: One line that names the file: there is no bag, or it cannot be understood.
     """
-    found = files(bag)
-    for file in found:
-        check(file)
-    parts = [read_file(file, topics, lazy) for file in found]
-    return heapq.merge(*parts, key=lambda entry: entry.log_time_ns)
+    files = bag_files(path)
+    opened = []
+    with ExitStack() as stack:
+        for file in files:
+            # A killed recorder leaves the last file of a split bag empty.
+            if len(files) == 1 or file.stat().st_size:
+                check_format(file)
+                opened.append(open_file(file, stack))
+        if not opened:
+            raise ValueError(f"{path}: no bag: all files are empty")
+        is_complete = len(opened) == len(files) and all(file.was_closed for file in opened)
+        yield Bag(path, opened, is_complete)
 
 
-def is_complete(bag: Path) -> bool:
-    """Tell whether each file of a bag was closed properly."""
-    return all(is_closed(file) for file in files(bag))
-
-
-def is_closed(file: Path) -> bool:
-    """Tell whether a file ends as it began, with the magic number."""
-    with plain(file) as stream:
-        return ends_well(stream)
-
-
-def ends_well(stream: IO[bytes]) -> bool:
-    """Tell whether an MCAP file ends as it began, with the magic number."""
-    size = stream.seek(0, 2)
-    stream.seek(max(0, size - len(MAGIC)))
-    return size > len(MAGIC) and stream.read() == MAGIC
-
-
-def files(bag: Path) -> list[Path]:
-    """Give the MCAP files of a bag, compressed or not, in their order.
+def bag_files(bag: Path) -> list[Path]:
+    """Return the MCAP files of a bag, compressed or not, in the order of their numbers.
 
     Raises:
         ValueError: There is none.
@@ -90,118 +149,117 @@ def files(bag: Path) -> list[Path]:
         return [bag]
     if not bag.is_dir():
         raise ValueError(f"{bag}: there is no such file or folder")
-    plain_files = {file.name: file for file in bag.glob("*.mcap")}
-    packed = (file for file in bag.glob("*.mcap.zstd") if file.stem not in plain_files)
-    found = sorted((*plain_files.values(), *packed), key=lambda file: (len(file.stem), file.name))
-    if not found and any(bag.glob("*.db3*")):
-        raise ValueError(f"{bag}: a bag in SQLite files: `ros2 bag convert` makes MCAP of it")
-    if not found:
+    # While rosbag2 compresses a file, both forms exist.
+    files = {file.name.removesuffix(".zstd"): file for file in bag.glob("*.mcap.zstd")}
+    files |= {file.name: file for file in bag.glob("*.mcap")}
+    if not files and any(bag.glob("*.db3*")):
+        raise ValueError(f"{bag}: {SQLITE}")
+    if not files:
         raise ValueError(f"{bag}: no bag: the folder holds no .mcap file")
-    return found
+    return [files[name] for name in sorted(files, key=natural_order)]
 
 
-def check(file: Path) -> None:
-    """Refuse what does not begin as an MCAP file does.
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts `bag_10` after `bag_2`."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)]
+
+
+def check_format(file: Path) -> None:
+    """Check that a file begins as an MCAP file, compressed or not.
 
     Raises:
-        ValueError: The file is empty, foreign or not readable.
+        ValueError: The file is empty, in another format or not readable.
     """
     try:
         with file.open("rb") as stream:
-            start = stream.read(len(SQLITE))
+            start = stream.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise ValueError(f"{file}: cannot be read: {error.strerror}") from error
     if not start:
         raise ValueError(f"{file}: no bag: the file is empty")
-    if start == SQLITE:
-        raise ValueError(f"{file}: a bag in SQLite: `ros2 bag convert` makes MCAP of it")
-    if not start.startswith((MAGIC, ZSTD)):
+    if start == SQLITE_MAGIC:
+        raise ValueError(f"{file}: {SQLITE}")
+    if not start.startswith((MAGIC, ZSTD_MAGIC)):
         raise ValueError(f"{file}: no bag: the file does not begin as MCAP files do")
 
 
-def plain(file: Path) -> IO[bytes]:
-    """Open a file; one that is compressed as a whole is unpacked, as far as it goes."""
-    stream = file.open("rb")
-    if stream.read(len(ZSTD)) != ZSTD:
+def open_file(file: Path, stack: ExitStack) -> BagFile:
+    """Open one file; `stack` closes it."""
+    with damage_in_one_line(file):
+        stream = stack.enter_context(open_decompressed(file))
+        was_closed = is_closed(stream)
+        if not was_closed:
+            stream = stack.enter_context(open_salvaged(stream))
+        reader = SeekingReader(stream)
+        profile, summary = reader.get_header().profile, reader.get_summary()
+        if profile not in PROFILES:
+            raise ValueError(f"its profile is {profile!r}, not 'ros2'")
+        has_index = summary is not None and is_full_index(summary)
+        index = summary if summary and has_index else read_channels(stream)
+        type_names = {0: "", **{key: schema.name for key, schema in index.schemas.items()}}
+        channels = index.channels.values()
+        types = {channel.topic: type_names[channel.schema_id] for channel in channels}
+        encodings = {channel.topic: channel.message_encoding for channel in channels}
+        return BagFile(file, stream, types, encodings, has_index, was_closed)
+
+
+@contextmanager
+def open_decompressed(file: Path) -> Iterator[IO[bytes]]:
+    """Open a file; one that is compressed as a whole is decompressed as far as it is complete."""
+    with file.open("rb") as stream:
+        is_compressed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         stream.seek(0)
-        return stream
+        if not is_compressed:
+            yield stream
+            return
+        with tempfile.TemporaryFile() as content:
+            with zstandard.ZstdDecompressor().stream_reader(stream) as source:
+                shutil.copyfileobj(source, content)
+            content.seek(0)
+            yield content
+
+
+@contextmanager
+def open_salvaged(stream: IO[bytes]) -> Iterator[IO[bytes]]:
+    """Open a complete copy of all that is undamaged in a file."""
+    with tempfile.TemporaryFile() as copy:
+        salvage(stream, copy, compress=False)
+        copy.seek(0)
+        yield copy
+
+
+def is_full_index(summary: Summary) -> bool:
+    """Return whether a summary is enough to find and interpret every message.
+
+    MCAP allows a writer to leave out any part of the summary.
+    """
+    counts, channels = summary.statistics, summary.channels.values()
+    return (
+        counts is not None
+        and counts.channel_count == len(channels)
+        and counts.chunk_count == len(summary.chunk_indexes)
+        and (counts.chunk_count > 0 or not counts.message_count)
+        and {channel.schema_id for channel in channels} <= {0, *summary.schemas}
+    )
+
+
+def read_channels(stream: IO[bytes]) -> Summary:
+    """Return the schemas and channels of a file without an index; this reads the whole file."""
+    summary = Summary()
     stream.seek(0)
-    unpacked: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
-    with stream:
-        unpack = zstandard.ZstdDecompressor().decompressobj()
-        while block := stream.read(BLOCK):
-            unpacked.write(unpack.decompress(block))
-    unpacked.seek(0)
-    return unpacked
+    for record in StreamReader(stream).records:
+        if isinstance(record, Schema):
+            summary.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            summary.channels[record.id] = record
+    return summary
 
 
-def whole(stream: IO[bytes]) -> IO[bytes]:
-    """Give a complete MCAP file at its beginning: this one, or what is whole in it."""
-    is_whole = ends_well(stream)
-    stream.seek(0)
-    if is_whole:
-        return stream
-    target: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
-    with stream:
-        salvage(stream, target, compress=False)
-    target.seek(0)
-    return target
-
-
-def read_file(file: Path, topics: Collection[str], lazy: Collection[str] = ()) -> Iterator[Entry]:
-    """Give the messages of one MCAP file up to its end, wherever that is."""
+@contextmanager
+def damage_in_one_line(file: Path) -> Iterator[None]:
+    """Raise a ValueError of one line for any error that a damaged file causes in the libraries."""
     try:
-        with whole(plain(file)) as stream:
-            yield from decoded(stream, topics, lazy)
-    except WrongType as error:
-        raise ValueError(f"{file}: {error}") from error
-    except Exception as error:  # what a damaged byte makes the libraries raise has no end
+        yield
+    except Exception as error:
         reason = " ".join(str(error).split()) or "it ends early"
         raise ValueError(f"{file}: damaged or foreign: {reason}") from error
-
-
-def decoded(
-    stream: IO[bytes], topics: Collection[str], lazy: Collection[str] = ()
-) -> Iterator[Entry]:
-    """Decode the messages of wanted topics whose type is installed."""
-    profile = make_reader(stream).get_header().profile
-    if profile not in PROFILES:
-        raise ValueError(f"its profile is {profile!r}, not 'ros2'")
-    stream.seek(0)
-    decoders: dict[int, Decoder | None] = {}
-    for schema, channel, log_time_ns, publish_time_ns, data in ordered(stream, topics):
-        if channel.id not in decoders:
-            decoders[channel.id] = decoder(channel, schema, wanted=bool(topics))
-        decode = decoders[channel.id]
-        if decode:
-            message = partial(decode, data) if channel.topic in lazy else decode(data)
-            yield Entry(channel.topic, log_time_ns, message, publish_time_ns)
-
-
-class WrongType(ValueError):
-    """A topic of the contract has another type than the contract says."""
-
-
-def decoder(channel: Channel, schema: Schema | None, *, wanted: bool) -> Decoder | None:
-    """Give the way from bytes to a message, or None where the type is not installed.
-
-    Raises:
-        WrongType: The topic is wanted and of the contract, but not of the contract's type.
-    """
-    type_name = schema.name if schema else "no type"
-    right = contract_type(channel.topic)
-    if wanted and right not in (None, type_name):
-        raise WrongType(f"topic {channel.topic} is of type {type_name}, {right} is needed")
-    if channel.message_encoding != "cdr":
-        return None
-    try:
-        cls = message_class(type_name)
-    except ValueError:
-        return None
-    return lambda data: deserialize_message(data, cls)
-
-
-def contract_type(topic: str) -> str | None:
-    """Give the type of a topic of the contract, in whatever namespace, or None."""
-    fitting = (type_ for name, type_ in TYPES.items() if topic.endswith("/" + name.lstrip("/")))
-    return next(fitting, None)

@@ -1,18 +1,23 @@
-"""Copies what is whole in an MCAP file that ends early, or is damaged, into a complete one.
+"""Copy all undamaged records of an MCAP file that is cut or damaged into a complete file.
 
-Nothing is invented: schemas, channels with their metadata, attachments, metadata records, and
-messages with their times and sequence numbers are those of the file. Of the last chunk, where the
-file ends inside it, the messages before its end are taken, compressed or not.
+Schemas, channels with their metadata, attachments, metadata records, and messages with their times
+and sequence numbers stay as they are in the file. If the file ends inside a chunk, the messages
+before that point are kept, compressed or not.
+
+Own code, because the readers of `mcap` and `rosbags` stop at the first damaged record.
 """
 
 import io
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
-import yaml
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
@@ -22,204 +27,275 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from ampc_msgs_config.recording.bag_metadata import Extent, Topic
-from launch_scripts.bags.mcap_records import DAMAGE, MAGIC, MESSAGE, Record, decompressed, records
+
+MAGIC = b"\x89MCAP0\r\n"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+HEAD = struct.Struct("<BQ")
+"""Start of a record: its opcode and the length of its content [bytes]."""
+MESSAGE = struct.Struct("<HIQQ")
+"""Start of a message: channel, sequence number, log time and publish time [ns]."""
+MAX_LENGTH = 2**32
+"""Longest content of a record [bytes]; a longer one is taken for damage."""
+DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    zstandard.ZstdError,
+    RuntimeError,
+    EOFError,
+)
+"""Errors that the libraries raise on damaged bytes."""
 
 
 @dataclass
 class Salvage:
-    """What was found in a file."""
+    """Result of salvaging one file."""
 
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, Topic] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
+    was_closed: bool = False
+    """Whether the file ends with the magic number."""
     reached_end: bool = False
-    """Whether all that the writer recorded is there, up to its end mark."""
+    """Whether the data section is complete, up to its end record."""
     tail_bytes: int = 0
-    """Length of the last record, which is cut; of a chunk, what was whole in it is kept."""
+    """Length of the last record if it is cut [bytes]."""
     from_tail: int = 0
-    """Number of messages kept out of a cut chunk."""
+    """Number of messages kept from a chunk that is cut."""
     damaged: int = 0
-    """Number of damaged records and chunks before the end, of which nothing is certain."""
+    """Number of damaged records and chunks before the end; they are left out."""
     damaged_bytes: int = 0
-    """Their length."""
+    """Length of the damaged records and chunks [bytes]."""
 
     @property
     def is_undamaged(self) -> bool:
-        """Whether nothing was lost."""
-        return self.reached_end and not self.damaged
+        """Whether nothing was lost, and nothing is missing but perhaps `metadata.yaml`."""
+        return self.was_closed and self.reached_end and not self.damaged
+
+
+class Record(NamedTuple):
+    """One record of an MCAP file, not interpreted yet."""
+
+    opcode: int
+    content: bytes
+    size: int
+    """Length in the file, with opcode and length field [bytes]."""
+    is_whole: bool
+    """Whether the file contains all of it."""
 
 
 def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> Salvage:
-    """Copy what is whole.
+    """Copy all undamaged records.
 
     Args:
-        source: An MCAP file, at its beginning.
-        target: Becomes a complete MCAP file.
+        source: MCAP file.
+        target: Receives a complete MCAP file.
         compress: Whether the chunks of the target are compressed.
 
     Raises:
-        ValueError: The source does not begin as MCAP files do.
+        ValueError: The source does not begin as an MCAP file.
     """
+    was_closed = is_closed(source)
     if source.read(len(MAGIC)) != MAGIC:
         raise ValueError("the file does not begin as MCAP files do")
     index = read_index(source)
-    copy = Copy(target, CompressionType.ZSTD if compress else CompressionType.NONE, index)
+    copier = Copier(target, CompressionType.ZSTD if compress else CompressionType.NONE, index)
     for record in records(source):
-        if record.kind == Opcode.DATA_END and record.is_whole:
-            copy.found.reached_end = True
+        if record.opcode == Opcode.DATA_END and record.is_whole:
+            copier.result.reached_end = True
             break
-        copy.take(record)
-    copy.finish()
-    return copy.found
+        copier.copy_record(record)
+    copier.start("ros2", "")
+    copier.writer.finish()
+    copier.result.was_closed = was_closed
+    return copier.result
+
+
+def is_closed(stream: IO[bytes]) -> bool:
+    """Return whether an MCAP file ends with the magic number; leave the stream at its start."""
+    size = stream.seek(0, 2)
+    stream.seek(max(0, size - len(MAGIC)))
+    has_magic = stream.read() == MAGIC
+    stream.seek(0)
+    return size > len(MAGIC) and has_magic
+
+
+def records(stream: IO[bytes]) -> Iterator[Record]:
+    """Return the records from the current position on; the last one may be cut or no record."""
+    while head := stream.read(HEAD.size):
+        opcode, length = HEAD.unpack(head.ljust(HEAD.size, b"\0"))
+        is_record = len(head) == HEAD.size and opcode and length <= MAX_LENGTH
+        content = stream.read(length if is_record else -1)
+        is_whole = bool(is_record) and len(content) == length
+        yield Record(opcode, content, len(head) + len(content), is_whole)
 
 
 def read_index(source: IO[bytes]) -> Summary:
-    """Give the index at the end of a file, an empty one where it is missing or damaged."""
-    start = source.tell()
+    """Return the summary at the end of a file, an empty one if it is missing or damaged."""
+    position = source.tell()
     try:
         source.seek(0)
         return make_reader(source).get_summary() or Summary()
     except (*DAMAGE, OSError):
         return Summary()
     finally:
-        source.seek(start)
+        source.seek(position)
 
 
-class Copy:
-    """A complete MCAP file that grows record by record."""
+def decompress_chunk(chunk: Chunk) -> bytes:
+    """Return the content of a chunk; of one that is cut, all that can be decompressed."""
+    if chunk.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
+    if chunk.compression:
+        raise ValueError(f"unknown compression {chunk.compression!r}")
+    return chunk.data
+
+
+def uncompressed(data: bytes) -> bytes:
+    """Return a message of `ros2 bag record --compression-mode message` decompressed.
+
+    Other messages are returned as they are: CDR never begins with the magic number of Zstandard.
+    """
+    if data.startswith(ZSTD_MAGIC):
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    return data
+
+
+class Copier:
+    """Writes a complete MCAP file record by record."""
 
     def __init__(self, target: IO[bytes], compression: CompressionType, index: Summary) -> None:
-        """Begin with nothing.
+        """Create an empty file.
 
         Args:
             target: The new file.
-            compression: Of its chunks.
-            index: Of the old file, for what a damaged chunk said about messages behind it.
+            compression: Compression of its chunks.
+            index: Summary of the old file: it names the channels that a damaged chunk introduced.
         """
-        self.found, self.index = Salvage(), index
+        self.result, self.index = Salvage(), index
         self.writer: Any = Writer(target, compression=compression)
-        self.started = False
+        self.has_started = False
         self.schemas: dict[int, tuple[int, str]] = {}
         self.channels: dict[int, tuple[int, Topic]] = {}
 
-    def take(self, record: Record) -> None:
-        """Copy a record at the top of the file, or count it as lost."""
+    def copy_record(self, record: Record) -> None:
+        """Copy a record of the top level, or count it as lost."""
         if not record.is_whole:
-            self.found.tail_bytes = record.size
+            self.result.tail_bytes = record.size
         try:
-            if record.kind == Opcode.CHUNK:
-                self.take_chunk(record)
+            if record.opcode == Opcode.CHUNK:
+                self.copy_chunk(record)
             elif record.is_whole:
-                self.take_inner(record)
+                self.copy_content(record)
         except DAMAGE:
-            self.found.damaged += record.is_whole
-            self.found.damaged_bytes += record.size * record.is_whole
+            if record.is_whole:
+                self.result.damaged += 1
+                self.result.damaged_bytes += record.size
 
-    def take_chunk(self, record: Record) -> None:
-        """Copy the content of a chunk; of one that is cut, what is whole."""
+    def copy_chunk(self, record: Record) -> None:
+        """Copy the records inside a chunk; of a chunk that is cut, those before the cut."""
         chunk = Chunk.read(ReadDataStream(io.BytesIO(record.content)))
-        content = decompressed(chunk)
+        content = decompress_chunk(chunk)
         crc = chunk.uncompressed_crc
         if record.is_whole and crc and zlib.crc32(content) != crc:
-            raise ValueError("damaged")
-        before = self.found.extent.count
+            raise ValueError("damaged chunk")
+        count_before = self.result.extent.count
         for inner in records(io.BytesIO(content)):
             if inner.is_whole:
-                self.take_inner(inner)
+                self.copy_content(inner)
             elif record.is_whole:
-                raise ValueError("damaged")
-            self.found.from_tail = (self.found.extent.count - before) * (not record.is_whole)
+                raise ValueError("damaged chunk")
+            if not record.is_whole:
+                self.result.from_tail = self.result.extent.count - count_before
 
-    def take_inner(self, record: Record) -> None:
-        """Copy a whole record that holds no others."""
-        if record.kind != Opcode.HEADER:
+    def copy_content(self, record: Record) -> None:
+        """Copy a whole record that contains no others."""
+        if record.opcode != Opcode.HEADER:
             self.start("ros2", "")
-        if record.kind == Opcode.MESSAGE:
-            self.take_message(record.content)
+        if record.opcode == Opcode.MESSAGE:
+            self.copy_message(record.content)
             return
         stream = ReadDataStream(io.BytesIO(record.content))
-        if record.kind == Opcode.HEADER:
+        if record.opcode == Opcode.HEADER:
             header = Header.read(stream)
             self.start(header.profile, header.library)
-        elif record.kind == Opcode.SCHEMA:
-            self.take_schema(Schema.read(stream))
-        elif record.kind == Opcode.CHANNEL:
-            self.take_channel(Channel.read(stream))
-        elif record.kind == Opcode.METADATA:
+        elif record.opcode == Opcode.SCHEMA:
+            self.copy_schema(Schema.read(stream))
+        elif record.opcode == Opcode.CHANNEL:
+            self.copy_channel(Channel.read(stream))
+        elif record.opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.writer.add_metadata(metadata.name, metadata.metadata)
-            self.found.metadata_records += 1
-        elif record.kind == Opcode.ATTACHMENT:
-            self.take_attachment(record.content)
+            self.result.metadata_records += 1
+        elif record.opcode == Opcode.ATTACHMENT:
+            self.copy_attachment(record.content)
 
-    def take_message(self, content: bytes) -> None:
-        """Copy a message."""
+    def copy_message(self, content: bytes) -> None:
+        """Copy a message, decompressed, so that the new bag needs no `compression_mode`."""
         channel_id, number, log_time_ns, publish_time_ns = MESSAGE.unpack_from(content)
         if channel_id not in self.channels:
-            self.take_from_index(channel_id)
+            self.copy_channel_from_index(channel_id)
         channel, topic = self.channels[channel_id]
-        data = content[MESSAGE.size :]
+        data = uncompressed(content[MESSAGE.size :])
         self.writer.add_message(channel, log_time_ns, data, publish_time_ns, number)
-        self.found.extent.add(log_time_ns)
+        self.result.extent.add(log_time_ns)
         topic.extent.add(log_time_ns)
 
-    def take_from_index(self, channel_id: int) -> None:
-        """Copy a channel that a damaged chunk has announced, from the index.
+    def copy_channel_from_index(self, channel_id: int) -> None:
+        """Copy a channel from the summary, because the chunk that introduced it is damaged.
 
         Raises:
-            ValueError: The index does not know it either.
+            ValueError: The summary does not list it.
         """
         if channel_id not in self.index.channels:
             raise ValueError("a message of an unknown channel")
         channel = self.index.channels[channel_id]
         if channel.schema_id in self.index.schemas:
-            self.take_schema(self.index.schemas[channel.schema_id])
-        self.take_channel(channel)
+            self.copy_schema(self.index.schemas[channel.schema_id])
+        self.copy_channel(channel)
 
-    def take_schema(self, schema: Schema) -> None:
+    def copy_schema(self, schema: Schema) -> None:
         """Copy a schema, once."""
         if schema.id not in self.schemas:
-            new = self.writer.register_schema(schema.name, schema.encoding, schema.data)
-            self.schemas[schema.id] = new, schema.name
+            new_id = self.writer.register_schema(schema.name, schema.encoding, schema.data)
+            self.schemas[schema.id] = new_id, schema.name
 
-    def take_channel(self, channel: Channel) -> None:
+    def copy_channel(self, channel: Channel) -> None:
         """Copy a channel, once."""
         if channel.id in self.channels:
             return
-        schema, type_name = self.schemas.get(channel.schema_id, (0, ""))
+        schema_id, type_name = self.schemas.get(channel.schema_id, (0, ""))
         encoding, metadata = channel.message_encoding, channel.metadata
-        new = self.writer.register_channel(channel.topic, encoding, schema, metadata)
+        new_id = self.writer.register_channel(channel.topic, encoding, schema_id, metadata)
         offers = offered_qos(metadata.get("offered_qos_profiles", ""))
         type_hash = metadata.get("topic_type_hash", "")
         topic = Topic(channel.topic, type_name, offers, type_hash, encoding)
-        self.channels[channel.id] = new, self.found.topics.setdefault(channel.topic, topic)
+        self.channels[channel.id] = new_id, self.result.topics.setdefault(channel.topic, topic)
 
-    def take_attachment(self, content: bytes) -> None:
+    def copy_attachment(self, content: bytes) -> None:
         """Copy an attachment."""
         (crc,) = struct.unpack("<I", content[-4:])
         if crc and zlib.crc32(content[:-4]) != crc:
-            raise ValueError("damaged")
+            raise ValueError("damaged attachment")
         item = Attachment.read(ReadDataStream(io.BytesIO(content)))
         times = item.create_time, item.log_time
         self.writer.add_attachment(*times, item.name, item.media_type, item.data)
-        self.found.attachments += 1
+        self.result.attachments += 1
 
     def start(self, profile: str, library: str) -> None:
-        """Write the head, once; where that of the source is lost, one of ROS 2."""
-        if not self.started:
+        """Write the header, once."""
+        if not self.has_started:
             self.writer.start(profile, library)
-        self.started = True
-
-    def finish(self) -> None:
-        """Write the index."""
-        self.start("ros2", "")
-        self.writer.finish()
+        self.has_started = True
 
 
 def offered_qos(text: str) -> list[dict[str, Any]]:
-    """Give qualities of service, of any version of rosbag2, in the words of version 9."""
+    """Convert the QoS profiles of a channel, of any version of rosbag2, to version 9."""
     try:
         return [dict(qos) for qos in dump_qos_v9(parse_qos(text))]
-    except (ReaderError, KeyError, TypeError, yaml.YAMLError):
+    except (ReaderError, KeyError, TypeError):
         return []

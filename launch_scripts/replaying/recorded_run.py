@@ -12,9 +12,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import parse
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
-from launch_scripts.bags.bag import read
+from launch_scripts.bags.bag import Bag, open_bag
 from launch_scripts.bags.bag_columns import namespace_of
-from launch_scripts.bags.bag_topics import topics
 
 CONTROLLER, SIMULATOR = (f"{node}/{ros.CONFIGURATION}" for node in ("controller", "simulator"))
 INPUTS = (ros.ODOM, ros.REFERENCE_PATH, ros.TICK, ros.STEERING_COMMAND, CONTROLLER, SIMULATOR)
@@ -112,12 +111,12 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     Raises:
         ValueError: Names the bag and what it lacks.
     """
-    announced = topics(bag)
-    prefix = namespace_of(bag, announced) if namespace is None else namespace.rstrip("/")
-    heard = {name: f"{prefix}/{name}" for name in INPUTS}
-    faulty = {name: f"{prefix}/{ros.FAULTY}{name}" for name in INPUTS}
-    heard |= {name: topic for name, topic in faulty.items() if topic in announced}
-    found, notes = collected(bag, heard), list[str]()
+    with open_bag(bag) as opened:
+        prefix = namespace_of(opened) if namespace is None else namespace.rstrip("/")
+        heard = {name: f"{prefix}/{name}" for name in INPUTS}
+        faulty = {name: f"{prefix}/{ros.FAULTY}{name}" for name in INPUTS}
+        heard |= {name: topic for name, topic in faulty.items() if topic in opened.topics}
+        found, notes = collected(opened, heard), list[str]()
     if not found.paths.found:
         raise ValueError(f"{bag}: holds no message on {heard[ros.REFERENCE_PATH]}")
     if not found.ticks:
@@ -132,19 +131,18 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     return RecordedRun(bag, ticks, config, version, "".join(found.texts[SIMULATOR][-1:]), notes)
 
 
-def collected(bag: File, heard: Mapping[str, str]) -> Collected:
+def collected(bag: Bag, heard: Mapping[str, str]) -> Collected:
     """Read what a run consists of; messages that the controller must have refused are left out.
 
     Args:
-        bag: Folder of the bag, or one MCAP file.
+        bag: The open bag.
         heard: The topic that the controller heard, by name of the contract.
     """
     names = {topic: name for name, topic in heard.items()}
     found = Collected(Stamped(), Stamped(), [], [], defaultdict(list))
-    for place, entry in enumerate(read(bag, names)):
-        name, message = names[entry.topic], entry.message
+    for place, message in enumerate(bag.messages(names)):
         try:
-            keep(found, name, place, message)
+            keep(found, names[message.topic], place, bag.decode(message))
         except ValueError:
             continue
     return found

@@ -1,4 +1,4 @@
-"""Messages that cannot be used: the reason names the field, its value and the bound."""
+"""Rejected messages: the reason names the field, its value and the bound."""
 
 import math
 from collections.abc import Callable
@@ -49,7 +49,7 @@ def test_odometry_in_another_frame_is_refused(frame: str) -> None:
 
 
 def turned(length: float, component: str = "w") -> Odometry:
-    """Return odometry with one component of its quaternion alone."""
+    """Return odometry whose quaternion has one component that is not 0."""
     message = ros.odometry_message(STATE)
     orientation = message.pose.pose.orientation
     orientation.z = orientation.w = 0.0
@@ -70,7 +70,7 @@ def test_a_quaternion_is_a_rotation_where_its_length_is_near_one(
 
 
 def road(change: Callable[[Path], None]) -> Path:
-    """Return a path message with something changed."""
+    """Return a path message with one change."""
     message = ros.path_message(np.array([(5.0 * i, 0.0) for i in range(20)]), 0)
     for pose in message.poses:
         pose.header = type(pose.header)(frame_id=ros.MAP)
@@ -87,7 +87,7 @@ def test_a_position_of_a_path_that_is_not_finite_is_named(name: str, value: floa
         ros.path_points(message)
 
 
-def test_poses_of_a_path_are_in_its_frame_or_tell_none() -> None:
+def test_poses_of_a_path_have_its_frame_or_none() -> None:
     message = road(lambda path: setattr(path.poses[3].header, "frame_id", ""))
     assert len(ros.path_points(message)) == 20
     message = road(lambda path: setattr(path.poses[3].header, "frame_id", "odom"))

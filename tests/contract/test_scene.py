@@ -1,4 +1,4 @@
-"""What a viewer draws: the car where it is, wheels that turn about one point, thin paths."""
+"""Shapes of a drive: position of the car, Ackermann angles, thinned paths."""
 
 import math
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes.scene import (
     CALM,
-    MOST_POINTS,
+    MAX_POINTS,
     VERMILION,
     WIND_TIME,
     Car,
@@ -30,10 +30,10 @@ LINE = np.array([[0.0, 0.0], [5.0, 0.0]])
 
 
 def drawn(view: View, car: Car = CAR) -> dict[tuple[str, int], Shape]:
-    """Return the shapes by name and number, which must tell them apart."""
-    actual = shapes(view, car)
-    by_name = {(shape.name, shape.number): shape for shape in actual}
-    assert len(by_name) == len(actual)
+    """Return the shapes by name and number, which must be unique."""
+    found = shapes(view, car)
+    by_name = {(shape.name, shape.number): shape for shape in found}
+    assert len(by_name) == len(found)
     return by_name
 
 
@@ -54,7 +54,7 @@ def test_wheels_stand_at_the_axles_and_only_the_front_ones_turn() -> None:
 
 
 @pytest.mark.parametrize(("at", "to_cg"), [("rear axle", -1.0), ("centre of gravity", 0.0)])
-def test_rear_axle_is_found_from_where_odometry_is(at: str, to_cg: float) -> None:
+def test_rear_axle_follows_from_the_point_of_the_odometry(at: str, to_cg: float) -> None:
     chassis = load(ChassisParameters, find("vehicles", "paper"), "chassis")
     size = load(SizeParameters, find("vehicles", "paper"), "size")
     car = car_of(chassis, size, to_cg)
@@ -76,7 +76,7 @@ def test_both_front_wheels_turn_about_one_point(
     assert wheel_angles(-steering, wheelbase, track) == pytest.approx((-right, -left))
 
 
-def test_request_to_stop_changes_colour_and_words() -> None:
+def test_stop_request_changes_colour_and_text() -> None:
     calm, stop = drawn(View(NORTH)), drawn(View(NORTH, stop=True))
     assert stop["car", 0].colour == VERMILION != calm["car", 0].colour
     assert "STOP" in stop["text", 0].text
@@ -84,7 +84,7 @@ def test_request_to_stop_changes_colour_and_words() -> None:
     assert "9.0 m/s" in calm["text", 0].text
 
 
-def test_what_is_not_known_is_not_drawn() -> None:
+def test_missing_values_are_not_drawn() -> None:
     assert {name for name, _ in drawn(View(NORTH))} == {"car", "text"}
     view = View(NORTH, wind=(0.0, 8.0), reference=LINE, prediction=LINE)
     names = {"car", "text", "reference_path", "predicted_path", "wind"}
@@ -102,7 +102,7 @@ def test_wind_blows_from_the_car_in_its_own_direction() -> None:
 def test_paths_are_thinned_evenly_and_keep_their_ends(count: int) -> None:
     points = np.column_stack((np.arange(count), np.zeros(count)))
     thin = thinned(points)
-    assert len(thin) == min(count, MOST_POINTS)
+    assert len(thin) == min(count, MAX_POINTS)
     if count:
         assert (thin[0] == points[0]).all()
         assert (thin[-1] == points[-1]).all()

@@ -1,4 +1,4 @@
-"""The node that draws: for whom it listens, what it draws, and what it survives."""
+"""Node `markers`: subscriptions, pictures, invalid input."""
 
 import math
 import time
@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.marker_node import PERIOD, MarkerNode, main
-from ampc_msgs_config.nodes.scene import MOST_POINTS, VERMILION
+from ampc_msgs_config.nodes.scene import MAX_POINTS, VERMILION
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from tests.ros_nodes import add, ros_context, spin_until
 
@@ -37,15 +37,15 @@ LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST}
 
 
 class Viewer(Node):
-    """Drives, and looks at the pictures."""
+    """Publishes a drive and receives the pictures."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        """Be able to publish every input."""
+        """Create a publisher for every input."""
         super().__init__("viewer")
         self.all = executor
         self.time_ns = 0
         self.pictures: list[dict[tuple[str, int], Marker]] = []
-        self.says = {
+        self.inputs = {
             name: self.create_publisher(cls, name, ros.LATCHED if name in LATCHED else ros.RELIABLE)
             for name, cls in TYPES.items()
         }
@@ -63,10 +63,10 @@ class Viewer(Node):
         """Publish the next state."""
         self.time_ns += NANOSECONDS // 10
         state = VehicleState(self.time_ns, 3.0, 4.0, 0.5, 9.0, 0.0, 0.0)
-        self.says[ros.ODOM].publish(ros.odometry_message(state._replace(**changes)))
+        self.inputs[ros.ODOM].publish(ros.odometry_message(state._replace(**changes)))
 
     def picture(self, **changes: Any) -> dict[tuple[str, int], Marker]:
-        """Drive until there is a picture of it; gives the newest."""
+        """Drive until a picture arrives; return the newest."""
         seen = len(self.pictures)
 
         def drawn() -> bool:
@@ -77,10 +77,10 @@ class Viewer(Node):
         return self.pictures[-1]
 
     def picture_with(self, name: str, message: Any, key: tuple[str, int]) -> Marker:
-        """Say something until a picture shows it; gives its marker."""
+        """Publish a message until a picture shows it; return its marker."""
 
         def shown() -> bool:
-            self.says[name].publish(message)
+            self.inputs[name].publish(message)
             return key in self.picture()
 
         spin_until(self.all, shown)
@@ -89,7 +89,7 @@ class Viewer(Node):
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    """Give a viewer that has not looked yet, beside a node that draws."""
+    """Return a viewer without subscription, beside a marker node."""
     with ros_context() as executor:
         node = Viewer(executor)
         add(executor, node, MarkerNode())
@@ -97,11 +97,11 @@ def viewer() -> Iterator[Viewer]:
 
 
 def drawer(viewer: Viewer) -> MarkerNode:
-    """Give the node that draws."""
+    """Return the marker node."""
     return next(node for node in viewer.all.get_nodes() if isinstance(node, MarkerNode))
 
 
-def test_it_listens_only_while_somebody_looks(viewer: Viewer) -> None:
+def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None:
     node = drawer(viewer)
     for _ in range(10):
         viewer.drive()
@@ -112,12 +112,12 @@ def test_it_listens_only_while_somebody_looks(viewer: Viewer) -> None:
     assert {each.topic_name for each in node.inputs} == {f"/{name}" for name in TYPES}
     viewer.destroy_subscription(viewer.eye)
     spin_until(viewer.all, lambda: not node.inputs)
-    assert not node.known
+    assert not node.values
 
 
-def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer: Viewer) -> None:
+def test_everything_is_drawn_in_the_map_with_a_lifetime(viewer: Viewer) -> None:
     viewer.look()
-    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG, 0))
+    viewer.inputs[ros.REFERENCE_PATH].publish(ros.path_message(LONG, 0))
     road = viewer.picture_with(
         ros.PREDICTED_PATH, ros.path_message(LONG[:20], 0), ("predicted_path", 0)
     )
@@ -125,7 +125,7 @@ def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer
     arrow = viewer.picture_with(ros.WIND, ros.wind_message(0, (0.0, 9.0)), ("wind", 0))
     assert arrow.points[1].y > arrow.points[0].y == 4.0
     picture = viewer.picture()
-    assert len(picture["reference_path", 0].points) == MOST_POINTS
+    assert len(picture["reference_path", 0].points) == MAX_POINTS
     assert picture["reference_path", 0].points[-1].x == LONG[-1, 0]
     for each in picture.values():
         assert each.header.frame_id == ros.MAP
@@ -137,7 +137,7 @@ def test_everything_is_drawn_in_the_map_and_vanishes_when_nobody_draws_it(viewer
     assert picture["text", 0].text.startswith("9.0 m/s")
 
 
-def test_the_measured_angle_goes_before_the_commanded_one(viewer: Viewer) -> None:
+def test_the_measured_angle_is_preferred_to_the_commanded_one(viewer: Viewer) -> None:
     viewer.look()
 
     def turns(angle: float) -> bool:
@@ -146,15 +146,15 @@ def test_the_measured_angle_goes_before_the_commanded_one(viewer: Viewer) -> Non
 
     for topic, angle in [(ros.STEERING_COMMAND, 0.2), (ros.STEERING_STATE, 0.1)]:
         viewer.picture()
-        viewer.says[topic].publish(ros.joint_message(0, angle, 0.0))
+        viewer.inputs[topic].publish(ros.joint_message(0, angle, 0.0))
         spin_until(viewer.all, partial(turns, angle))
-    viewer.says[ros.STEERING_COMMAND].publish(ros.joint_message(0, 0.2, 0.0))
+    viewer.inputs[ros.STEERING_COMMAND].publish(ros.joint_message(0, 0.2, 0.0))
     for _ in range(3):
         assert turns(0.1)
 
 
 def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: Viewer) -> None:
-    viewer.says[ros.STOP_REQUEST].publish(Bool(data=True))
+    viewer.inputs[ros.STOP_REQUEST].publish(Bool(data=True))
     viewer.look()
     spin_until(viewer.all, lambda: "STOP" in viewer.picture()["text", 0].text)
     colour = viewer.pictures[-1]["car", 0].color
@@ -162,14 +162,14 @@ def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: View
 
 
 def rejects_more_than(node: MarkerNode, number: int) -> bool:
-    """Tell whether a node has refused more than so many inputs."""
+    """Return whether a node has rejected more than so many inputs."""
     return node.rejected > number
 
 
-def test_bad_input_is_counted_and_the_good_one_kept(viewer: Viewer) -> None:
+def test_invalid_input_is_counted_and_the_last_valid_one_kept(viewer: Viewer) -> None:
     node = drawer(viewer)
     viewer.look()
-    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
+    viewer.inputs[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
     spin_until(viewer.all, lambda: ("reference_path", 0) in viewer.picture())
     foreign = ros.path_message(LONG[:3], 0)
     foreign.header.frame_id = "odom"
@@ -184,19 +184,19 @@ def test_bad_input_is_counted_and_the_good_one_kept(viewer: Viewer) -> None:
     ]
     for topic, message in bad:
         before = node.rejected
-        viewer.says[topic].publish(message)
+        viewer.inputs[topic].publish(message)
         spin_until(viewer.all, partial(rejects_more_than, node, before))
     assert node.rejected == len(bad)
     assert len(viewer.picture()["reference_path", 0].points) == 9
 
 
-def test_an_empty_path_takes_the_road_away(viewer: Viewer) -> None:
+def test_an_empty_path_removes_the_line(viewer: Viewer) -> None:
     viewer.look()
-    viewer.says[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
+    viewer.inputs[ros.REFERENCE_PATH].publish(ros.path_message(LONG[:9], 0))
     spin_until(viewer.all, lambda: ("reference_path", 0) in viewer.picture())
     empty = PathMessage()
     empty.header.frame_id = ros.MAP
-    viewer.says[ros.REFERENCE_PATH].publish(empty)
+    viewer.inputs[ros.REFERENCE_PATH].publish(empty)
     spin_until(viewer.all, lambda: ("reference_path", 0) not in viewer.picture())
 
 

@@ -1,4 +1,4 @@
-"""What the recorder adds to a bag, and what it saves when it or the disk gives up."""
+"""Bags of the recorder: log times, transforms, and content after a kill or with a full disk."""
 
 import math
 import random
@@ -21,23 +21,22 @@ from std_msgs.msg import String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes import recorder_node
-from ampc_msgs_config.nodes.recorder_node import CONTRACT
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, EVERYTHING
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
-from ampc_msgs_config.recording.bag_writer import EVERYTHING, Recording
+from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import read
 from launch_scripts.recover import main
-from tests.bag_samples import TICK_NS, sample, wait_for
+from tests.bag_samples import TICK_NS, read, sample, wait_for
 from tests.nodes.test_recorder_node import popen_recorder, start_recorder, stop, talker
 from tests.ros_nodes import add, ros_context, spin_until
 
 LARGEST_FILE = 2_000_000
-"""As large as the shared memory of the middleware needs its files [bytes]."""
+"""File size limit that still lets the middleware create its shared memory [bytes]."""
 
 
 def dated(arrivals: Arrivals) -> dict[str, int]:
-    """Takes all that waits; gives the log time of each topic's last message [ns]."""
+    """Remove all messages; return the log time of each topic's last message [ns]."""
     return {arrival.topic: time_ns for arrival, time_ns in arrivals.take_all_before(2**63)}
 
 
@@ -55,7 +54,7 @@ def test_a_latched_message_that_comes_late_has_the_simulated_time_of_its_publish
         assert dated(arrivals) == {"/odom": 7 * TICK_NS, "/path": tick * TICK_NS}
 
 
-def test_a_latched_message_lies_before_what_could_use_it_in_real_time() -> None:
+def test_a_latched_message_precedes_its_first_use_in_real_time() -> None:
     arrivals = Arrivals(
         simulated=False, clock="/clock", command="/command", quantities=(), latched=("/path",)
     )
@@ -70,7 +69,7 @@ def test_a_latched_message_lies_before_what_could_use_it_in_real_time() -> None:
         assert dated(arrivals) == {"/path": expected_ns, "/odom": start_ns + 7}
 
 
-def test_what_waits_for_the_clock_is_given_once_and_again_when_it_starts() -> None:
+def test_messages_that_wait_for_the_clock_are_returned_again_when_it_starts() -> None:
     arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities=())
     arrivals.add(Arrival(1, 2, "/path", b""))
     assert [arrival.topic for arrival in arrivals.take_undated()] == ["/path"]
@@ -116,7 +115,7 @@ def test_a_kill_before_the_simulated_clock_starts_loses_less_than_a_second(tmp_p
     assert len(found) > 50
 
 
-def test_what_came_before_the_simulated_clock_gets_the_time_of_its_start(tmp_path: Path) -> None:
+def test_messages_before_the_simulated_clock_get_the_time_of_its_start(tmp_path: Path) -> None:
     with talker() as node:
         odom = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
         clock = node.create_publisher(CONTRACT[ros.CLOCK], ros.CLOCK, EVERYTHING)
@@ -135,14 +134,14 @@ def test_what_came_before_the_simulated_clock_gets_the_time_of_its_start(tmp_pat
 
 
 def publish_until_recorded(publisher: Publisher, message: Any, bag: Path) -> None:
-    """Publishes a message again and again until the bag holds it: both ends know each other."""
+    """Publish a message repeatedly until the bag contains it: discovery is complete then."""
     while not list(read(bag)):
         publisher.publish(message)
         time.sleep(0.1)
 
 
 def transforms(bag: Path) -> dict[str, list[Any]]:
-    """Gives the transforms of a bag by topic."""
+    """Return the transforms of a bag by topic."""
     found: dict[str, list[Any]] = {"/tf": [], "/tf_static": []}
     with AnyReader([bag]) as reader:
         for link in reader.connections:
@@ -158,7 +157,7 @@ def transforms(bag: Path) -> dict[str, list[Any]]:
     return found
 
 
-def test_transforms_place_the_car_where_odometry_does(tmp_path: Path) -> None:
+def test_transforms_have_the_pose_of_the_odometry(tmp_path: Path) -> None:
     lost = sample(ros.ODOM, 2 * TICK_NS)
     lost.pose.pose.position.x = math.nan
     with talker() as node:
@@ -196,7 +195,7 @@ def test_transforms_place_the_car_where_odometry_does(tmp_path: Path) -> None:
         lambda odom: setattr(odom, "child_frame_id", ""),
     ],
 )
-def test_odometry_that_gives_no_place_gives_no_transform(spoil: Any) -> None:
+def test_odometry_without_a_valid_pose_gives_no_transform(spoil: Any) -> None:
     message = sample(ros.ODOM, TICK_NS)
     assert pose_transform(serialize_message(message))
     assert len(footprint_transform(serialize_message(message))) > 100
@@ -235,7 +234,7 @@ def test_a_full_disk_ends_the_recorder_in_one_line_and_what_was_recorded_stays(
 def test_transforms_of_others_take_the_place_of_those_from_odometry(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: bool
 ) -> None:
-    """As tf2_msgs is not installed everywhere, another type stands for its own here."""
+    """Another type replaces tf2_msgs, which is not installed everywhere."""
     if not asked:
         others = {"/tf": Vector3Stamped, "/tf_static": Vector3Stamped}
         monkeypatch.setattr(recorder_node, "installed_transforms", lambda: others)

@@ -1,4 +1,4 @@
-"""The recorder: nothing is lost, no time is wrong, and it ends cleanly."""
+"""The recorder: no loss, correct times, orderly shutdown."""
 
 import signal
 import subprocess
@@ -13,28 +13,45 @@ import pytest
 import rclpy
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
-from rosbags.interfaces import QosDurability, QosReliability
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import dump_qos_v9
 from sensor_msgs.msg import Imu
+from std_msgs.msg import String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, TRANSFORMS
+from ampc_msgs_config.nodes.recorder_node import (
+    CONTRACT,
+    EVERYTHING,
+    LATCHED,
+    TRANSFORMS,
+    plain_qos,
+    take_serialized,
+)
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
-from ampc_msgs_config.recording.bag_writer import EVERYTHING
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import read
 from tests.bag_samples import (
     TICK_NS,
     contents,
     full,
+    read,
     read_with_rosbags,
     sample,
     wait_for,
     write_bag,
 )
+from tests.ros_nodes import add, ros_context
 
 TICKS = 200
 
@@ -66,9 +83,56 @@ def test_messages_without_a_clock_are_kept_until_the_end() -> None:
     assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
 
 
+def test_take_serialized_returns_waiting_messages_then_none() -> None:
+    with ros_context() as executor:
+        node = rclpy.create_node("reader")
+        add(executor, node)
+        publisher = node.create_publisher(String, "words", EVERYTHING)
+        subscription = node.create_subscription(String, "words", print, EVERYTHING, raw=True)
+        wait_for(lambda: publisher.get_subscription_count() > 0)
+        assert take_serialized(subscription) is None
+        publisher.publish(String(data="first"))
+        taken = None
+        while taken is None:
+            taken = take_serialized(subscription)
+        data, info = taken
+        assert deserialize_message(data, String).data == "first"
+        assert {"source_timestamp", "received_timestamp", "publication_sequence_number"} <= {*info}
+        assert take_serialized(subscription) is None
+
+
+def test_plain_qos_is_what_rosbag2_writes() -> None:
+    profile = QoSProfile(
+        depth=7,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        deadline=Duration(seconds=3, nanoseconds=5),
+    )
+    (qos,) = dump_qos_v9([plain_qos(profile)])
+    assert qos == {
+        "history": "keep_last",
+        "depth": 7,
+        "reliability": "best_effort",
+        "durability": "transient_local",
+        "deadline": {"sec": 3, "nsec": 5},
+        "lifespan": {"sec": 0, "nsec": 0},
+        "liveliness": "system_default",
+        "liveliness_lease_duration": {"sec": 0, "nsec": 0},
+        "avoid_ros_namespace_conventions": False,
+    }
+    plain: Any
+    for policy, plain in {
+        HistoryPolicy: QosHistory,
+        ReliabilityPolicy: QosReliability,
+        DurabilityPolicy: QosDurability,
+        LivelinessPolicy: QosLiveliness,
+    }.items():
+        assert all(plain(each).name == each.name for each in policy)
+
+
 @contextmanager
 def talker() -> Iterator[Node]:
-    """Gives a node of this process that publishes."""
+    """Create a node of this process that publishes."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node: Any = rclpy.create_node("talker", context=context)
@@ -78,7 +142,7 @@ def talker() -> Iterator[Node]:
 
 
 def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder."""
+    """Start the recorder."""
     command = [sys.executable, "-m", "ampc_msgs_config.nodes.recorder_node", "--ros-args"]
     for parameter in parameters:
         command += ["-p", parameter]
@@ -86,21 +150,21 @@ def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
 
 
 def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder; gives its process once it is ready."""
+    """Start the recorder; return its process when it is ready."""
     process = popen_recorder(f"output:={bag}", *parameters)
     wait_for((bag / "metadata.yaml").exists)
     return process
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
-    """Ends a process by a signal; gives its exit code and all that it said."""
+    """End a process by a signal; return its exit code and its output."""
     process.send_signal(number)
     said, _ = process.communicate(timeout=10)
     return process.returncode, said
 
 
 def advertise(node: Node) -> dict[str, Publisher]:
-    """Gives a publisher for each topic of the contract."""
+    """Return a publisher for each topic of the contract."""
     return {
         name: node.create_publisher(
             message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
@@ -110,7 +174,7 @@ def advertise(node: Node) -> dict[str, Publisher]:
 
 
 def publish_fast(publishers: dict[str, Publisher]) -> None:
-    """Publishes 500 ticks a second, 50 times as fast as the clock that is published with them."""
+    """Publish 500 ticks a second, 50 times as fast as the clock that is published with them."""
     wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
     due = time.monotonic()
     for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):

@@ -1,5 +1,6 @@
-"""Bags: written as rosbag2 does, read by others, never overwritten, and they survive a kill."""
+"""Bags of our recorder: as rosbag2 writes them, never overwritten, readable after a kill."""
 
+import json
 import re
 import subprocess
 import sys
@@ -22,8 +23,17 @@ from ampc_msgs_config.nodes.recorder_node import CONTRACT
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import define, type_name_of
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import Entry, is_complete, read
-from tests.bag_samples import TICK_NS, contents, full, read_with_rosbags, wait_for, write_bag
+from tests.bag_samples import (
+    TICK_NS,
+    Entry,
+    contents,
+    full,
+    is_complete,
+    read,
+    read_with_rosbags,
+    wait_for,
+    write_bag,
+)
 
 WRITER = """
 import sys, time
@@ -34,7 +44,7 @@ from std_msgs.msg import Float64
 from ampc_msgs_config.recording.bag_writer import Recording
 
 recording = Recording(Path(sys.argv[1]))
-recording.add_topic("/count", "std_msgs/msg/Float64", [])
+recording.add_topic("/count", "std_msgs/msg/Float64")
 for number in range(10**9):
     data = serialize_message(Float64(data=float(number)))
     recording.write("/count", data, time.time_ns(), time.time_ns())
@@ -54,7 +64,7 @@ def test_only_the_wanted_topics_are_read(tmp_path: Path) -> None:
     assert [entry.topic for entry in read(tmp_path, ["/odom"])] == ["/odom"] * 3
 
 
-def test_mcap_finds_the_same_bytes_through_its_index(tmp_path: Path) -> None:
+def test_mcap_reads_the_same_bytes_through_its_index(tmp_path: Path) -> None:
     entries, data = write_bag(tmp_path, ticks=3)
     with next(tmp_path.glob("*.mcap")).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -79,7 +89,45 @@ def test_type_hashes_are_those_of_the_definitions_in_the_bag(tmp_path: Path) -> 
             assert reader.typestore.hash_rihs01(link.msgtype) == define(link.msgtype).type_hash
 
 
-def test_metadata_tells_rosbags_counts_times_types_and_quality_of_service(tmp_path: Path) -> None:
+def test_types_of_other_packages_are_defined_by_their_installed_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    messages = tmp_path / "share" / "own_msgs" / "msg"
+    for folder in (messages, tmp_path / "own_msgs"):
+        folder.mkdir(parents=True)
+    (tmp_path / "own_msgs" / "__init__.py").touch()
+    (messages / "Wheel.msg").write_text("float64 speed  # [rad/s]\n")
+    (messages / "Wheels.msg").write_text("std_msgs/Header header\nown_msgs/Wheel[] wheels\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    definition = define("own_msgs/msg/Wheels")
+    assert re.search(
+        r"own_msgs/Wheel\[\] wheels(.|\n)*MSG: own_msgs/Wheel\nfloat64 speed", definition.text
+    )
+    assert re.fullmatch("RIHS01_[0-9a-f]{64}", definition.type_hash)
+    with pytest.raises(ValueError, match=r"^own_msgs/msg/Missing: .*not installed"):
+        define("own_msgs/msg/Missing")
+
+
+def test_type_hashes_are_those_of_the_installed_messages() -> None:
+    for message_type in CONTRACT.values():
+        type_name = type_name_of(message_type)
+        package, _, name = type_name.split("/")
+        prefix = Path(str(sys.modules[package].__file__)).parents
+        file = next(
+            path
+            for p in prefix
+            if (path := p / "share" / package / "msg" / f"{name}.json").exists()
+        )
+        hashes = {
+            item["type_name"]: item["hash_string"]
+            for item in json.loads(file.read_text())["type_hashes"]
+        }
+        assert define(type_name).type_hash == hashes[type_name]
+
+
+def test_rosbags_reads_counts_times_types_and_quality_of_service_from_the_metadata(
+    tmp_path: Path,
+) -> None:
     write_bag(tmp_path, ticks=3)
     with Reader(tmp_path) as reader:
         assert reader.message_count == 3 * len(CONTRACT)
@@ -151,7 +199,7 @@ def test_a_truncated_file_gives_all_of_its_complete_chunks(tmp_path: Path) -> No
 
 
 def ros1_file(file: Path) -> None:
-    """Writes an MCAP file of ROS 1."""
+    """Write an MCAP file of ROS 1."""
     with file.open("wb") as stream:
         writer: Any = Writer(stream)
         writer.start(profile="ros1")
@@ -159,7 +207,7 @@ def ros1_file(file: Path) -> None:
 
 
 def damaged_file(file: Path) -> None:
-    """Writes a bag and changes one byte in its only chunk."""
+    """Write a bag and change one byte in its only chunk."""
     write_bag(file.parent / "bag", ticks=1)
     content = bytearray((file.parent / "bag" / "bag_0.mcap").read_bytes())
     content[1000] ^= 1
@@ -177,7 +225,7 @@ def damaged_file(file: Path) -> None:
         (damaged_file, "damaged or foreign: "),
     ],
 )
-def test_what_is_no_bag_gives_one_line_that_names_the_file(
+def test_an_unreadable_file_gives_one_line_that_names_it(
     tmp_path: Path, make: Callable[[Path], None], complaint: str
 ) -> None:
     file = tmp_path / "drive.mcap"

@@ -1,4 +1,4 @@
-"""What is left of a bag becomes a complete one, and nothing that is whole is left behind."""
+"""Recovery of bags: the result is complete and contains all that is undamaged."""
 
 import io
 import random
@@ -13,29 +13,28 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 
-from launch_scripts.bags.bag import is_complete, read
 from launch_scripts.bags.salvage import salvage
 from launch_scripts.recover import main
-from tests.bag_samples import contents, read_with_rosbags, write_bag
+from tests.bag_samples import contents, is_complete, read, read_with_rosbags, write_bag
 from tests.foreign_bags import Sent, write_file
 
 DRIVE = [Sent(1000 + number, 0.1 * number, number=number) for number in range(400)]
 
 
 def opened(file: Path) -> tuple[list[Any], Any]:
-    """Gives what `mcap` reads through the index of a file, and its summary."""
+    """Return all messages that `mcap` reads through the index of a file, and its summary."""
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         return list(reader.iter_messages()), reader.get_summary()
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
-    """Gives the content of all files in a folder."""
+    """Return the content of all files in a folder."""
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
 def recovered(bag: Path, output: Path) -> list[Sent]:
-    """Recovers a bag of odometry, checks its index, and gives its messages."""
+    """Recover a bag of odometry, check its index, and return its messages."""
     assert main([str(bag), "--output", str(output)]) == 0
     found = []
     for file in sorted(output.glob("*.mcap")):
@@ -52,8 +51,8 @@ def recovered(bag: Path, output: Path) -> list[Sent]:
     return found
 
 
-def without_place(messages: list[Sent]) -> list[Sent]:
-    """Gives what is known of messages without understanding them."""
+def without_content(messages: list[Sent]) -> list[Sent]:
+    """Return messages without their content."""
     return [sent._replace(x=0.0) for sent in messages]
 
 
@@ -84,7 +83,7 @@ def test_messages_before_the_cut_of_the_last_chunk_are_kept(
     cut = chunk.chunk_start_offset + chunk.chunk_length * 9 // 10
     (tmp_path / "bag_0.mcap").write_bytes(whole[:cut])
     found = recovered(tmp_path, tmp_path / "new")
-    assert found == without_place(DRIVE[: len(found)])
+    assert found == without_content(DRIVE[: len(found)])
     if compression is CompressionType.NONE:
         assert len(found) in (358, 359, 360)
     said = capsys.readouterr().out
@@ -103,7 +102,7 @@ def test_every_cut_of_an_unchunked_file_gives_the_messages_before_it(tmp_path: P
         bag = tmp_path / f"cut_{cut}.mcap"
         bag.write_bytes(whole[:cut])
         found = recovered(bag, tmp_path / f"new_{cut}")
-        assert found == without_place(DRIVE[: len(found)])
+        assert found == without_content(DRIVE[: len(found)])
         assert len(found) >= before
         before = len(found)
     assert before == 5
@@ -128,7 +127,7 @@ def test_a_damaged_chunk_is_left_out_and_the_others_are_kept(
     assert f"1 damaged chunks or records, {size} bytes, are left out" in capsys.readouterr().out
 
 
-def test_whatever_is_damaged_the_result_is_a_complete_file(tmp_path: Path) -> None:
+def test_the_result_is_a_complete_file_for_any_damage(tmp_path: Path) -> None:
     chance = random.Random(1)
     write_file(tmp_path / "bag.mcap", DRIVE[:60], chunk_size=4000, enable_crcs=True)
     whole = (tmp_path / "bag.mcap").read_bytes()
@@ -143,12 +142,42 @@ def test_whatever_is_damaged_the_result_is_a_complete_file(tmp_path: Path) -> No
         assert len(messages) == found.extent.count
 
 
+def test_a_cut_chunk_is_not_counted_as_damage(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag.mcap", DRIVE, compression=CompressionType.ZSTD)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    _, summary = opened(tmp_path / "bag.mcap")
+    (chunk,) = summary.chunk_indexes
+    for share in (0.01, 0.5, 0.9):  # the first one is cut in the head of the chunk
+        cut = chunk.chunk_start_offset + int(chunk.chunk_length * share)
+        result = salvage(io.BytesIO(whole[:cut]), io.BytesIO())
+        assert result.tail_bytes == cut - chunk.chunk_start_offset
+        assert (result.damaged, result.damaged_bytes) == (0, 0)
+
+
+def test_a_damaged_attachment_is_left_out(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag.mcap", DRIVE[:5], enable_crcs=True)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    assert salvage(io.BytesIO(whole), io.BytesIO()).attachments == 1
+    damaged = whole.replace(b"mass: 1500.0", b"mass: 1600.0", 1)
+    result = salvage(io.BytesIO(damaged), io.BytesIO())
+    assert (result.attachments, result.damaged, result.extent.count) == (0, 1, 5)
+
+
+def test_messages_that_are_compressed_one_by_one_are_recovered_decompressed(tmp_path: Path) -> None:
+    write_file(tmp_path / "bag_0.mcap", DRIVE[:50])
+    plain, _ = opened(tmp_path / "bag_0.mcap")
+    write_file(tmp_path / "bag_0.mcap", DRIVE[:50], pack=zstandard.compress)
+    assert recovered(tmp_path, tmp_path / "new") == without_content(DRIVE[:50])
+    copied, _ = opened(tmp_path / "new" / "new_0.mcap")
+    assert [message.data for _, _, message in copied] == [message.data for _, _, message in plain]
+
+
 def test_schemas_offers_attachments_and_metadata_stay(tmp_path: Path) -> None:
     write_file(tmp_path / "bag_0.mcap", DRIVE)
     before, _ = opened(tmp_path / "bag_0.mcap")
     whole = (tmp_path / "bag_0.mcap").read_bytes()
     (tmp_path / "bag_0.mcap").write_bytes(whole[:-20])
-    assert recovered(tmp_path, tmp_path / "new") == without_place(DRIVE)
+    assert recovered(tmp_path, tmp_path / "new") == without_content(DRIVE)
     after, _ = opened(tmp_path / "new" / "new_0.mcap")
     assert after == before
     with (tmp_path / "new" / "new_0.mcap").open("rb") as stream:
@@ -186,13 +215,13 @@ def test_a_cut_file_that_is_compressed_as_a_whole_is_recovered(tmp_path: Path) -
     packed = zstandard.compress((tmp_path / "bag_0.mcap").read_bytes())
     (tmp_path / "bag_0.mcap").unlink()
     (tmp_path / "bag_0.mcap.zstd").write_bytes(packed)
-    assert recovered(tmp_path, tmp_path / "all") == without_place(DRIVE)
+    assert recovered(tmp_path, tmp_path / "all") == without_content(DRIVE)
     (tmp_path / "bag_0.mcap.zstd").write_bytes(packed[: len(packed) * 19 // 20])
     found = recovered(tmp_path, tmp_path / "new")
-    assert found == without_place(DRIVE[: len(found)])
+    assert found == without_content(DRIVE[: len(found)])
 
 
-def test_a_complete_bag_is_said_to_be_so_and_not_copied(
+def test_a_complete_bag_is_reported_and_not_copied(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entries, _ = write_bag(tmp_path / "bag", ticks=2)
@@ -213,7 +242,7 @@ def test_metadata_that_is_missing_or_old_is_written_anew(tmp_path: Path, text: s
     assert list(read(tmp_path / "bag_recovered")) == entries
 
 
-def test_topics_that_fell_silent_early_are_named(
+def test_topics_that_end_early_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = [Sent(3 * 10**9, 0.0, "/late"), Sent(4 * 10**9, 0.0, "/late")]
@@ -222,7 +251,7 @@ def test_topics_that_fell_silent_early_are_named(
     assert "/odom: last message 4.000 s before the end\n" in capsys.readouterr().out
 
 
-def test_a_bag_without_messages_is_said_to_hold_none(
+def test_a_bag_without_messages_is_recovered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_file(tmp_path / "bag_0.mcap", [])
@@ -230,7 +259,7 @@ def test_a_bag_without_messages_is_said_to_hold_none(
     assert "recovered: 0 messages on 0 topics" in capsys.readouterr().out
 
 
-def test_what_is_no_bag_or_stands_in_the_way_gives_one_line(
+def test_a_missing_bag_or_an_existing_output_gives_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_bag(tmp_path / "bag", ticks=1)

@@ -137,7 +137,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_used(tmp_path: Path) -> N
     states[5] = states[5]._replace(x=math.nan)
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(states)}))
     assert drive.summary["ticks"] == 29
-    assert any(note.startswith("/odom: 1 of 30 messages refused: odom") for note in drive.notes)
+    assert any(note.startswith("/odom: 1 of 30 messages") for note in drive.notes)
 
 
 def test_a_topic_of_a_wrong_type_is_left_out_by_name(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_a_truncated_bag_is_reported_up_to_where_it_ends(tmp_path: Path) -> None
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     drive = judged(file.parent)
     assert 50 < (drive.summary["ticks"] or 0) < 250
-    assert drive.notes[0] == "The bag was not closed: its last moments may be missing."
+    assert "not closed" in drive.notes[0]
 
 
 @pytest.mark.parametrize(

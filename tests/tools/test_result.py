@@ -17,7 +17,8 @@ from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
 from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
-from launch_scripts.bags.drive_log import read_drive
+from launch_scripts.bags.bag_columns import read_columns
+from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.figure import draw
 from launch_scripts.run.options import options
 from launch_scripts.run.result import Run, judge
@@ -52,7 +53,7 @@ def write_bag(bag: Path, drives: dict[str, dict[str, list[Any]]]) -> Path:
         for namespace, topics in drives.items():
             for name, messages in topics.items():
                 topic = f"{namespace}/{name}"
-                recording.add_topic(topic, type_name_of(type(messages[0])), [ros.RELIABLE])
+                recording.add_topic(topic, type_name_of(type(messages[0])))
                 for time_ns, message in enumerate(messages):
                     recording.write(topic, serialize_message(message), time_ns, time_ns)
     return bag
@@ -61,7 +62,7 @@ def write_bag(bag: Path, drives: dict[str, dict[str, list[Any]]]) -> Path:
 def test_a_drive_is_read_from_any_namespace_and_never_mixed_with_another(tmp_path: Path) -> None:
     drives = {"/car1": drive_messages(STRAIGHT), "/fleet/car2": drive_messages(CIRCLE)}
     bag = write_bag(tmp_path / "bag", drives)
-    first, second = read_drive(bag), read_drive(bag, "/fleet/car2/")
+    first, second = drive_log(read_columns(bag)), drive_log(read_columns(bag, "/fleet/car2/"))
     assert first.drive.states[-1].x > 500.0
     assert second.drive.states[-1].x < 50.0
     assert len(first.drive.states) == len(first.target_speed) == len(first.drive.steering) == 20
@@ -71,20 +72,20 @@ def test_a_drive_is_read_from_any_namespace_and_never_mixed_with_another(tmp_pat
 def test_a_bag_without_a_drive_is_refused_by_name(tmp_path: Path) -> None:
     nothing = write_bag(tmp_path / "nothing", {})
     with pytest.raises(ValueError, match="nothing: holds no message on steering_command"):
-        read_drive(nothing)
+        drive_log(read_columns(nothing))
     topics = drive_messages(STRAIGHT)
     del topics[ros.TARGET_SPEED]
     with pytest.raises(ValueError, match="half: holds no message on /car1/target_speed"):
-        read_drive(write_bag(tmp_path / "half", {"/car1": topics}))
+        drive_log(read_columns(write_bag(tmp_path / "half", {"/car1": topics})))
     topics = drive_messages(STRAIGHT)
     topics[ros.ODOM] = topics[ros.ODOM][:1]
     with pytest.raises(ValueError, match="short: 1 commands answer a recorded state, 2 are needed"):
-        read_drive(write_bag(tmp_path / "short", {"": topics}))
+        drive_log(read_columns(write_bag(tmp_path / "short", {"": topics})))
 
 
 @pytest.mark.parametrize("points", [STRAIGHT, CIRCLE], ids=["graph", "circuit"])
 def test_the_picture_shows_every_kind_of_path(points: Array, tmp_path: Path) -> None:
-    log = read_drive(write_bag(tmp_path / "bag", {"": drive_messages(points)}))
+    log = drive_log(read_columns(write_bag(tmp_path / "bag", {"": drive_messages(points)})))
     lanes = (Lane(10.0, 20.0, -1.0, 1.0), Lane(30.0, 40.0, 2.0, 4.0))
     draw(log, lanes, 1.5, "title", tmp_path / "drive.png")
     assert (tmp_path / "drive.png").read_bytes().startswith(b"\x89PNG")

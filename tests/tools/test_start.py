@@ -20,11 +20,12 @@ from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from launch_scripts import start
-from launch_scripts.bags.bag import is_complete, read
-from launch_scripts.bags.drive_log import read_drive
+from launch_scripts.bags.bag_columns import read_columns
+from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.processes import Processes
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
+from tests.bag_samples import is_complete, read
 
 PATIENCE = 120.0
 """Wall time after which a wait has failed, compiling included [s]."""
@@ -116,7 +117,7 @@ def drive_offline(scenario: str, controller: str) -> tuple[list[object], list[fl
 def test_the_bag_of_a_run_holds_the_offline_loop_to_the_last_bit(tmp_path: Path) -> None:
     code, said = run(tmp_path / "run", "--scenario", "sc1", "--controller", "paper")
     assert code == 0, said
-    log = read_drive(tmp_path / "run" / "bag")
+    log = drive_log(read_columns(tmp_path / "run" / "bag"))
     states, steering = drive_offline("sc1", "paper")
     assert log.drive.states == states
     assert log.drive.steering.tolist() == steering
@@ -171,13 +172,13 @@ def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     assert [sentence for sentence in MISSED[node] if sentence not in said] == []
     assert f"logs: {started.folder}" in said
     assert processes(started.mark) == {}
-    assert len(read_drive(started.folder / "bag").drive.states) > 5
+    assert len(drive_log(read_columns(started.folder / "bag")).drive.states) > 5
     assert is_complete(started.folder / "bag") == (node != "recorder")
     if node == "recorder":
         assert f"whole: {started.folder}/bag_recovered" in said
         assert is_complete(started.folder / "bag_recovered")
-        recovered = read_drive(started.folder / "bag_recovered").drive
-        assert recovered.states == read_drive(started.folder / "bag").drive.states
+        recovered = drive_log(read_columns(started.folder / "bag_recovered")).drive
+        assert recovered.states == drive_log(read_columns(started.folder / "bag")).drive.states
     assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
 
 

@@ -1,4 +1,4 @@
-"""What our nodes share: parameters with ranges, a report of their health, and a clean end."""
+"""Base of the nodes: parameters with ranges, diagnostics, and an orderly shutdown."""
 
 import gc
 import signal
@@ -25,33 +25,36 @@ from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-"""The executor looks at each event of each publisher at every turn: costs more than a tick."""
+"""The executor would poll each event callback in every round, which costs more than a tick."""
 AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 FLUSH_TIMEOUT = 4.0
-"""Wall time for the last words of a node; the middleware looks for gaps every 3 s [s]."""
+"""Wall time for the final messages of a node; the middleware resends lost ones every 3 s [s]."""
 SHUTDOWN_TIMEOUT = 0.5
-"""The same where nobody said that a recorder listens [s]."""
+"""The same without a recorder [s]."""
 
 
 class BaseNode(Node):
-    """A node that reports its health, and that can wait until a recorder listens."""
+    """A node that publishes diagnostics, and that can wait for a recorder."""
 
     def __init__(self, name: str, *, owns_time: bool = False) -> None:
-        """Join the graph.
+        """Create the node.
 
         Args:
-            name: Of the node.
-            owns_time: In lock-step this node makes the time, which all others follow.
+            name: Name of the node.
+            owns_time: In lock-step this node publishes the clock that all others follow.
         """
         super().__init__(name)
-        ros.vehicle_state(ros.odometry_message(AT_REST))  # compiles
+        ros.vehicle_state(ros.odometry_message(AT_REST))  # compiles the conversion
         self.lock_step: bool = declare(
             self, "lock_step", False, "simulated time advances only when every state is answered"
         )
         if self.lock_step and not owns_time:
             self.set_parameters([Parameter(USE_SIM_TIME_NAME, value=True)])
         self.wait_for_recorder: bool = declare(
-            self, "wait_for_recorder", False, "drive only when a recorder listens to this node"
+            self,
+            "wait_for_recorder",
+            False,
+            "drive only after a recorder has subscribed to this node",
         )
         self.is_recorded = False
         self.trouble = ""
@@ -62,34 +65,34 @@ class BaseNode(Node):
 
     @property
     def now_ns(self) -> int:
-        """Time of the node's clock [ns]; 0 while simulated time has not begun."""
+        """Time of the node's clock [ns]; 0 before simulated time has started."""
         return int(self.get_clock().now().nanoseconds)
 
     def unrecorded(self) -> list[str]:
-        """Give the topics of this node for which it still waits for a recorder."""
+        """Return the topics of this node that the awaited recorder has not subscribed to."""
         if not self.wait_for_recorder:
             return []
         topics = {each.topic_name for each in self.publishers} - {ros.PARAMETER_EVENTS}
-        missing = [topic for topic in sorted(topics) if not self._hears(topic)]
+        missing = [topic for topic in sorted(topics) if not self._is_recorded(topic)]
         self.wait_for_recorder, self.is_recorded = bool(missing), not missing
         return missing
 
-    def _hears(self, topic: str) -> bool:
-        listeners = self.get_subscriptions_info_by_topic(topic)
-        return any(listener.node_name == "recorder" for listener in listeners)
+    def _is_recorded(self, topic: str) -> bool:
+        subscribers = self.get_subscriptions_info_by_topic(topic)
+        return any(subscriber.node_name == "recorder" for subscriber in subscribers)
 
     def publish_final(self) -> None:
-        """Publish what others need when this node ends."""
+        """Publish the final messages of this node."""
 
     def flush(self) -> None:
-        """Wait until all have the last words; the recorder, where it was waited for, longer."""
+        """Wait until all subscribers have the final messages; longer with a recorder."""
         until = time.monotonic() + (FLUSH_TIMEOUT if self.is_recorded else SHUTDOWN_TIMEOUT)
         for publisher in self.publishers:
             rest = max(until - time.monotonic(), 0.0)
             publisher.wait_for_all_acked(Duration(seconds=rest))
 
     def reject(self, error: ValueError) -> None:
-        """Count and report an input that is not used."""
+        """Count and log an input that is not used."""
         self.rejected += 1
         self.trouble = str(error)
         self.get_logger().error(str(error), throttle_duration_sec=1.0)
@@ -97,16 +100,16 @@ class BaseNode(Node):
     def report(
         self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
     ) -> None:
-        """Publish the health since the last report: OK, or the trouble in words, lasting first.
+        """Publish diagnostics: OK, or the current problem and those since the last report.
 
         Args:
             stamp_ns: Time of the report [ns].
-            lasting: Trouble that goes on, in one sentence; empty: none.
-            values: Numbers to tell.
-            level: Of the lasting trouble; what came and went since the last report is a WARN.
+            lasting: Problem that persists, in one sentence; empty: none.
+            values: Numbers by name.
+            level: Level of the lasting problem; a problem that has passed is a WARN.
         """
         if self.wait_for_recorder:
-            lasting, level = "waiting for a recorder that listens to this node", WARN
+            lasting, level = "waiting for a recorder that subscribes to this node", WARN
         passing, self.trouble = self.trouble, ""
         trouble = "; ".join(filter(None, (lasting, passing)))
         level = max(level if lasting else OK, WARN if passing else OK)
@@ -131,19 +134,19 @@ def declare(
     *,
     at_run_time: bool = False,
 ) -> Any:
-    """Declare a parameter with its description and range, and give its value.
+    """Declare a parameter with its description and range, and return its value.
 
     Args:
-        node: Owner.
-        name: Of the parameter.
-        default: Value, which sets the type.
-        description: For `ros2 param describe`.
+        node: Node that gets the parameter.
+        name: Name of the parameter.
+        default: Default value; it defines the type.
+        description: Text for `ros2 param describe`.
         allowed: (low, high) of a number, or a list of words.
-        at_run_time: It may be changed while the node runs.
+        at_run_time: Whether the parameter may be changed while the node runs.
 
     Raises:
-        ValueError: The word is not one of them.
-        ParameterException: The value has another type, or leaves the range.
+        ValueError: The word is not in the list.
+        ParameterException: The value has another type, or is out of range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=not at_run_time)
     if isinstance(allowed, list):
@@ -161,27 +164,30 @@ def declare(
 
 
 def spin(make_node: Callable[[], BaseNode]) -> int:
-    """Run one node until it ends itself, or is told to; gives the exit code of the process.
+    """Run one node until it ends itself or a signal arrives; return the exit code of the process.
 
-    A set-up that is wrong ends in one line on stderr and exit code 2. Signals are handled here:
-    rclpy would end the middleware before the last words are delivered. A set-up, which may compile
-    for long, is interrupted; a node that runs ends after the callback it is in, as an exception at
-    any place of it would not always arrive as one.
+    A wrong configuration gives one line on stderr and exit code 2.
+
+    Note:
+        Own signal handlers are used, because those of rclpy shut the middleware down before the
+        final messages are delivered. A signal interrupts the constructor, which may compile for
+        long. A running node ends after its current callback, because an exception raised inside
+        compiled code or the middleware is not always passed on.
     """
     signals: list[int] = []
-    begun: list[BaseNode] = []
+    created: list[BaseNode] = []
 
     def on_signal(number: int, _: Any) -> None:
         signals.append(number)
-        if not begun and len(signals) == 1:
-            raise KeyboardInterrupt  # which compiling may swallow
+        if not created and len(signals) == 1:
+            raise KeyboardInterrupt  # may be swallowed during compilation
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     try:
         _init()
-        begun.append(_made(make_node))
-        return _spin(begun[0], signals)
+        created.append(_create(make_node))
+        return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0
     except (ValueError, ParameterException) as error:
@@ -198,19 +204,19 @@ def _init() -> None:
         raise ValueError(error) from error
 
 
-def _made(make_node: Callable[[], BaseNode]) -> BaseNode:
-    """Make a node, and say so where it has to compile: the class `PlannerNode` is the planner."""
+def _create(make_node: Callable[[], BaseNode]) -> BaseNode:
+    """Create a node, and log if it has to compile; the class `PlannerNode` is logged as planner."""
     name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
     with log_compilation(name, get_logger(name).info):
         return make_node()
 
 
 def _spin(node: BaseNode, signals: list[int]) -> int:
-    """Run a node until a signal comes; gives the exit code that it ends itself with, or 0."""
+    """Run a node until a signal arrives; return the exit code with which it ends itself, or 0."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     gc.collect()
-    gc.freeze()  # what lives now lives on: a full collection would only delay a tick
+    gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
             executor.spin_once(timeout_sec=0.1)

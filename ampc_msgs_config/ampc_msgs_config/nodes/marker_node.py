@@ -1,7 +1,7 @@
-"""Node `markers`: draws the drive for RViz2 and Foxglove. `ros2 run ampc_msgs_config markers`.
+"""Node `markers`: draw the drive for RViz2 and Foxglove. `ros2 run ampc_msgs_config markers`.
 
-It listens to the drive only while somebody looks, draws at most 20 times a second whatever the
-speed of the drive, and nobody waits for it.
+It subscribes to the drive only while a viewer is subscribed, draws at most 20 times a second of
+wall time, and no other node waits for it.
 """
 
 import math
@@ -30,10 +30,10 @@ from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
 PERIOD = 0.05
-"""Wall time from one picture to the next [s]."""
+"""Wall time between two pictures [s]."""
 LIFETIME = 2
-"""After which a viewer takes away what nobody draws any more, in simulated time where it follows
-that: a drive in lock-step runs up to 20 times as fast as the wall clock [s]."""
+"""Time after which a viewer removes a marker that is not redrawn [s]. It is simulated time if the
+viewer uses that: a drive in lock-step runs up to 20 times as fast as the wall clock."""
 KINDS = {
     "cube": Marker.CUBE,
     "line": Marker.LINE_STRIP,
@@ -43,10 +43,10 @@ KINDS = {
 
 
 class MarkerNode(BaseNode):
-    """Keeps the newest message of each input, and unpacks it when it draws."""
+    """Keeps the newest message of each input, and unpacks it before drawing."""
 
     def __init__(self) -> None:
-        """Load the car; listen to nothing yet."""
+        """Load the car, without subscriptions yet."""
         super().__init__("markers")
         self.car = self._car()
         self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
@@ -60,7 +60,7 @@ class MarkerNode(BaseNode):
         }
         self.inputs: list[Subscription] = []
         self.new: dict[str, Any] = {}
-        self.known: dict[str, Any] = {}
+        self.values: dict[str, Any] = {}
         self.pictures = 0
         self.publisher = self.create_publisher(MarkerArray, ros.MARKERS, ros.COMMAND)
         self.create_timer(PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -76,67 +76,68 @@ class MarkerNode(BaseNode):
         return car_of(chassis, load(SizeParameters, file, "size"), to_cg)
 
     def on_timer(self) -> None:
-        """Draw what is new since the last picture, if somebody looks."""
+        """Draw if there is a new state and a viewer is subscribed."""
         if not self.publisher.get_subscription_count():
-            self.leave()
+            self.unsubscribe()
         elif not self.inputs:
-            self.join()
-        elif self.learn():
+            self.subscribe()
+        elif self.unpack_new():
             self.draw()
 
-    def join(self) -> None:
-        """Listen to the drive."""
+    def subscribe(self) -> None:
+        """Subscribe to the drive."""
         for topic, (message_type, qos, _) in self.sources.items():
             keep = partial(self.new.__setitem__, topic)
             self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
 
-    def leave(self) -> None:
-        """Listen no longer, and forget."""
+    def unsubscribe(self) -> None:
+        """Remove all subscriptions and values."""
         while self.inputs:
             self.destroy_subscription(self.inputs.pop())
         self.new.clear()
-        self.known.clear()
+        self.values.clear()
 
-    def learn(self) -> bool:
-        """Unpack what has come; tells whether there is a new state. Bad input is left out."""
-        came = {topic: self.new.pop(topic) for topic in list(self.new)}
-        learned = set()
-        for topic, message in came.items():
+    def unpack_new(self) -> bool:
+        """Unpack new messages; return whether there is a new state. Invalid input is left out."""
+        messages = self.new.copy()
+        self.new.clear()
+        updated = set()
+        for topic, message in messages.items():
             try:
-                self.known[topic] = self.sources[topic][2](message)
-                learned.add(topic)
+                self.values[topic] = self.sources[topic][2](message)
+                updated.add(topic)
             except (ValueError, OverflowError) as error:
                 self.reject(ValueError(f"{topic}: {error}"))
-        return ros.ODOM in learned
+        return ros.ODOM in updated
 
     def draw(self) -> None:
-        """Publish a picture of what is known."""
-        known, straight = self.known, ros.Stamped(0, 0.0)
-        state: VehicleState = known[ros.ODOM]
+        """Publish a picture of the current values."""
+        values, straight = self.values, ros.Stamped(0, 0.0)
+        state: VehicleState = values[ros.ODOM]
         view = View(
             state,
-            known.get(ros.STEERING_STATE, known.get(ros.STEERING_COMMAND, straight)).value,
-            known.get(ros.WIND, (0.0, 0.0)),
-            known.get(ros.REFERENCE_PATH, NO_POINTS),
-            known.get(ros.PREDICTED_PATH, NO_POINTS),
-            known.get(ros.STOP_REQUEST, False),
+            values.get(ros.STEERING_STATE, values.get(ros.STEERING_COMMAND, straight)).value,
+            values.get(ros.WIND, (0.0, 0.0)),
+            values.get(ros.REFERENCE_PATH, NO_POINTS),
+            values.get(ros.PREDICTED_PATH, NO_POINTS),
+            values.get(ros.STOP_REQUEST, False),
         )
         markers = [marker(shape, state.stamp_ns) for shape in shapes(view, self.car)]
         self.publisher.publish(MarkerArray(markers=markers))
         self.pictures += 1
 
     def on_diagnostics(self) -> None:
-        """Report health once a second, while somebody looks."""
+        """Publish diagnostics once a second, while a viewer is subscribed."""
         if self.inputs:
-            waiting = "" if ros.ODOM in self.known else "waiting for odom"
+            waiting = "" if ros.ODOM in self.values else "waiting for odom"
             self.report(self.now_ns, waiting, {"pictures": self.pictures})
 
 
 def points_of(message: PathMessage) -> Array:
-    """Unpack a path, thinned (n, 2) [m]; an empty one is a path that is gone.
+    """Unpack a path, thinned (n, 2) [m]; an empty one removes the line.
 
     Raises:
-        ValueError: It is in another frame than `map`, or not finite.
+        ValueError: The frame is not `map`, or a number is not finite.
     """
     if message.header.frame_id != ros.MAP:
         raise ValueError(f"frame_id = {message.header.frame_id!r} must be {ros.MAP!r}")
@@ -145,10 +146,10 @@ def points_of(message: PathMessage) -> Array:
 
 
 def wind_of(message: Vector3Stamped) -> tuple[float, float]:
-    """Unpack a wind [m/s].
+    """Unpack a wind velocity [m/s].
 
     Raises:
-        ValueError: It is not finite.
+        ValueError: A number is not finite.
     """
     wind = message.vector.x, message.vector.y
     if not all(map(math.isfinite, wind)):

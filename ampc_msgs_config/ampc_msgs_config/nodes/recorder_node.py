@@ -1,7 +1,7 @@
-"""Node `recorder`: writes every topic of the contract to a bag, and counts what it did not get.
+"""Node `recorder`: write every topic of the contract to a bag, and count lost messages.
 
-It says `recording to <folder>` when all of its subscriptions stand; from then on `metadata.yaml`
-lies in the folder. SIGINT and SIGTERM end it, after all that was published before has come in.
+It logs `recording to <folder>` when all subscriptions exist; from then on the folder contains
+`metadata.yaml`. SIGINT and SIGTERM end it, after all messages published before have arrived.
 """
 
 import signal
@@ -15,23 +15,20 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rosbags import interfaces
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
-from ampc_msgs_config.recording.bag_writer import (
-    BEST_EFFORT,
-    EVERYTHING,
-    LATCHED_EVERYTHING,
-    Recording,
-)
+from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TYPES, message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
@@ -41,16 +38,27 @@ WRITE_PERIOD = 0.3
 HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
-"""Wall time without a message after which nothing is in flight any more [s]."""
+"""Wall time without a message after which no message is in flight [s]."""
+KEEP_ALL: dict[str, Any] = {"depth": 0, "history": HistoryPolicy.KEEP_ALL}
+EVERYTHING = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+"""Request of a recorder."""
+LATCHED_EVERYTHING = QoSProfile(
+    **KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The same for topics whose last message a late subscriber receives, too."""
+BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
     name: message_class(type_) for name, type_ in TYPES.items() if name != topics.MARKERS
 }
-"""Markers show again what the others say, and would be three quarters of a bag."""
+"""Without markers: they repeat other topics, and would be three quarters of a bag."""
 LATCHED = {topics.REFERENCE_PATH, topics.STOP_REQUEST, topics.TF_STATIC, *topics.CONFIGURATIONS}
 DESCRIBING = (*topics.QUANTITIES, topics.PREDICTED_PATH, topics.TICK)
-"""What the controller publishes about its last command."""
+"""Topics with which the controller describes its last command."""
 SHARED_TOPICS = {topics.PARAMETER_EVENTS, topics.ROSOUT}
-"""Topics on which every node speaks: what they said before the recorder came is not missed."""
+"""Topics of all nodes: messages from before the start of the recorder do not count as missed."""
 TRANSFORMS = {topics.TF: qos.RELIABLE, topics.TF_STATIC: qos.LATCHED}
 
 
@@ -61,10 +69,10 @@ class Recorder(Node):
         """Subscribe to everything, then open the bag.
 
         Raises:
-            ValueError: A parameter is wrong, or the folder holds a bag already.
+            ValueError: A parameter is wrong, or the folder contains a bag.
         """
         super().__init__("recorder", start_parameter_services=False, enable_rosout=False)
-        output = self.parameter("output", "", "Folder of the bag, which must hold none yet.")
+        output = self.parameter("output", "", "Folder of the bag, which must not contain one.")
         if not output:
             raise ValueError("parameter 'output' must name the folder of the bag")
         items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
@@ -73,21 +81,21 @@ class Recorder(Node):
         self.odom = self.resolve_topic_name(topics.ODOM)
         self.derives_transforms = topics.TF not in map(self.resolve_topic_name, further)
         self.inputs: dict[str, Subscription] = {}
-        self.refused: set[str] = set()
+        self.incompatible: set[str] = set()
         self.first_numbers: dict[str, int] = {}
         self.lost = 0
-        self.awaited_ns = sys.maxsize
-        self.heard = time.monotonic()
+        self.end_ns = sys.maxsize
+        self.last_arrival = time.monotonic()
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
             qos = LATCHED_EVERYTHING if name in LATCHED else EVERYTHING
-            self.listen(self.resolve_topic_name(name), message_type, qos)
+            self.subscribe(self.resolve_topic_name(name), message_type, qos)
         self.recording = Recording(Path(output))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WRITE_PERIOD, self.on_timer, clock=steady)
         self.get_logger().info(f"recording to {self.recording.folder}")
 
     def empty_arrivals(self) -> Arrivals:
-        """Give the queue of messages that wait to be written."""
+        """Return an empty queue for messages that wait to be written."""
         full = self.resolve_topic_name
         return Arrivals(
             simulated=bool(self.get_parameter("use_sim_time").value),
@@ -98,14 +106,14 @@ class Recorder(Node):
         )
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
-        """Give a parameter."""
+        """Declare a parameter and return its value."""
         descriptor = ParameterDescriptor(description=description, read_only=True)
         return self.declare_parameter(name, default, descriptor).value
 
-    def listen(self, topic: str, message_type: Any, qos: QoSProfile) -> None:
+    def subscribe(self, topic: str, message_type: Any, qos: QoSProfile) -> None:
         """Subscribe to a topic."""
         events = SubscriptionEventCallbacks(
-            message_lost=self.on_lost, incompatible_qos=lambda _: self.refused.add(topic)
+            message_lost=self.on_lost, incompatible_qos=lambda _: self.incompatible.add(topic)
         )
         receive = partial(self.on_message, topic)
         self.inputs[topic] = self.create_subscription(
@@ -113,84 +121,88 @@ class Recorder(Node):
         )
 
     def on_message(self, topic: str, data: bytes, info: dict[str, int]) -> None:
-        """Keep a message, and all that wait behind it.
+        """Queue a message, and all that wait behind it.
 
         Note:
-            An executor takes one message a round; taking all more than doubles the rate at which
-            nothing is lost.
+            An executor takes one message a round. Taking all of them more than doubles the rate
+            without losses.
         """
-        subscription = self.inputs[topic]
-        taken: Any = (data, info)
+        taken: tuple[bytes, dict[str, int]] | None = (data, info)
         while taken:
             self.keep(topic, *taken)
-            taken = subscription.handle.take_message(subscription.msg_type, True)
+            taken = take_serialized(self.inputs[topic])
 
     def keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
-        """Keep a message until it is written."""
+        """Queue a message until it is written."""
         self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
         arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
         self.arrivals.add(arrival)
-        if arrival.publish_ns < self.awaited_ns:
-            self.heard = time.monotonic()
+        if arrival.publish_ns < self.end_ns:
+            self.last_arrival = time.monotonic()
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware dropped."""
         self.lost += event.total_count_change
 
     def on_timer(self) -> None:
-        """Write what has waited long enough, and adapt to other publishers."""
+        """Write messages that have waited long enough, and adapt to publishers that offer less."""
         if topics.TF in self.inputs and self.count_publishers(topics.TF):
             self.derives_transforms = False
         self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
         for arrival in self.arrivals.take_undated():
             self.write(arrival, 0)
         self.recording.flush()
-        for topic in self.refused:
-            self.get_logger().warning(f"{topic}: asking for less, as a publisher offers less")
-            self.listen_for_less(self.inputs[topic])
-        self.refused.clear()
+        for topic in self.incompatible:
+            self.get_logger().warning(
+                f"{topic}: subscribing with lower QoS, because a publisher offers less"
+            )
+            self.subscribe_with_less(self.inputs[topic])
+        self.incompatible.clear()
 
-    def listen_for_less(self, refused: Subscription) -> None:
-        """Subscribe anew, without history, or where that was too much, without reliability."""
-        latched = refused.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self.listen(refused.topic_name, refused.msg_type, EVERYTHING if latched else BEST_EFFORT)
-        self.destroy_subscription(refused)
+    def subscribe_with_less(self, incompatible: Subscription) -> None:
+        """Subscribe again without durability, or if that is too much, without reliability."""
+        latched = incompatible.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        self.subscribe(
+            incompatible.topic_name, incompatible.msg_type, EVERYTHING if latched else BEST_EFFORT
+        )
+        self.destroy_subscription(incompatible)
 
     def write_all(self, dated: Iterable[tuple[Arrival, int]]) -> None:
-        """Write messages at their log times; the first one replaces what was written undated."""
+        """Write messages at their log times; the first one replaces those without a log time."""
         for arrival, log_time_ns in dated:
-            if self.arrivals.drafted:
-                self.arrivals.drafted = 0
+            if self.arrivals.undated:
+                self.arrivals.undated = 0
                 self.recording.begin_anew()
             self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:
-        """Write one message, the first of a topic together with its quality of service."""
+        """Write one message; the first of a topic adds the topic with its quality of service."""
         topic = arrival.topic
         if topic not in self.recording.topics:
             offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
             subscription = self.inputs[topic]
             type_name = type_name_of(subscription.msg_type)
-            self.recording.add_topic(topic, type_name, offers or [subscription.qos_profile])
+            profiles = map(plain_qos, offers or [subscription.qos_profile])
+            self.recording.add_topic(topic, type_name, list(profiles))
         self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
         if topic == self.odom and self.derives_transforms:
             self.write_transforms(arrival, log_time_ns)
 
     def write_transforms(self, odometry: Arrival, log_time_ns: int) -> None:
-        """Write where the car is, for viewers that know of transforms only."""
-        place = pose_transform(odometry.data)
-        if place is None:
+        """Write the pose of the car as a transform, for viewers that need one."""
+        pose = pose_transform(odometry.data)
+        if pose is None:
             return
-        transforms = {topics.TF: place}
+        transforms = {topics.TF: pose}
         if topics.TF_STATIC not in self.recording.topics:
-            transforms = {topics.TF_STATIC: footprint_transform(odometry.data), topics.TF: place}
+            transforms = {topics.TF_STATIC: footprint_transform(odometry.data), topics.TF: pose}
         for topic, data in transforms.items():
             if topic not in self.recording.topics:
-                self.recording.add_topic(topic, TF_MESSAGE, [TRANSFORMS[topic]])
+                self.recording.add_topic(topic, TF_MESSAGE, [plain_qos(TRANSFORMS[topic])])
             self.recording.write(topic, data, log_time_ns, odometry.publish_ns)
 
     def close(self) -> None:
-        """Write the rest, close the bag, and say what is in it."""
+        """Write the remaining messages, close the bag, and log its size."""
         self.write_all(self.arrivals.take_all_before(sys.maxsize))
         self.recording.close()
         bag = self.recording
@@ -206,7 +218,7 @@ class Recorder(Node):
 
 
 def installed_transforms() -> dict[str, Any]:
-    """Give the topics of transforms with their type, where it is installed: not with the wheels."""
+    """Return the topics of transforms with their type, if it is installed; the wheels lack it."""
     try:
         return dict.fromkeys(TRANSFORMS, message_class(TF_MESSAGE))
     except ValueError:
@@ -214,7 +226,7 @@ def installed_transforms() -> dict[str, Any]:
 
 
 def parse_topics(items: list[str]) -> dict[str, Any]:
-    """Give the message class of each topic, from items such as `imu:sensor_msgs/msg/Imu`.
+    """Return the message class of each topic, from items such as `imu:sensor_msgs/msg/Imu`.
 
     Raises:
         ValueError: An item has no type, or one that is not installed.
@@ -223,26 +235,56 @@ def parse_topics(items: list[str]) -> dict[str, Any]:
     return {name: message_class(type_name) for name, _, type_name in pairs}
 
 
+def take_serialized(subscription: Subscription) -> tuple[bytes, dict[str, int]] | None:
+    """Return the next serialised message of a subscription with its info, or None.
+
+    Note:
+        `handle.take_message` is a private interface of rclpy.
+    """
+    taken: tuple[bytes, dict[str, int]] | None
+    taken = subscription.handle.take_message(subscription.msg_type, True)
+    return taken
+
+
+def plain_qos(profile: QoSProfile) -> interfaces.Qos:
+    """Return a quality of service as plain data; the enumerations have the same numbers."""
+
+    def duration(value: Duration) -> interfaces.QosTime:
+        return interfaces.QosTime(*divmod(value.nanoseconds, NANOSECONDS))
+
+    return interfaces.Qos(
+        interfaces.QosHistory(profile.history),
+        profile.depth,
+        interfaces.QosReliability(profile.reliability),
+        interfaces.QosDurability(profile.durability),
+        duration(profile.deadline),
+        duration(profile.lifespan),
+        interfaces.QosLiveliness(profile.liveliness),
+        duration(profile.liveliness_lease_duration),
+        profile.avoid_ros_namespace_conventions,
+    )
+
+
 def record(recorder: Recorder, signals: list[int]) -> None:
-    """Record until a signal comes, and then until nothing is in flight."""
+    """Record until a signal arrives, and then until no message is in flight."""
     executor = SingleThreadedExecutor()
     executor.add_node(recorder)
     while not signals:
         executor.spin_once(timeout_sec=0.1)
-    recorder.awaited_ns = time.time_ns()
-    recorder.heard = time.monotonic()
-    while time.monotonic() - recorder.heard < QUIET:
+    recorder.end_ns = time.time_ns()
+    recorder.last_arrival = time.monotonic()
+    while time.monotonic() - recorder.last_arrival < QUIET:
         executor.spin_once(timeout_sec=0.05)
     recorder.close()
 
 
 def main() -> int:
-    """Run the node. Signals are handled here: rclpy would end the middleware at once."""
+    """Run the node. Own signal handlers: those of rclpy shut the middleware down at once."""
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.append(number))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    code = 2  # the set-up is wrong
+    code = 2  # wrong parameters
     try:
         recorder, code = Recorder(), 1
         record(recorder, signals)

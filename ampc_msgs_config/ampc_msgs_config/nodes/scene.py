@@ -1,4 +1,4 @@
-"""What a viewer draws of a drive, as simple shapes in `map`: car, paths, wind, words."""
+"""Convert a drive to simple shapes in `map`: car, paths, wind, text."""
 
 import math
 from typing import NamedTuple
@@ -9,21 +9,21 @@ from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
-MOST_POINTS = 500
-"""Of a path that is drawn."""
+MAX_POINTS = 500
+"""Largest number of points of a path that is drawn."""
 WHEEL_LENGTH, WHEEL_WIDTH = 0.64, 0.22
-"""Of a usual tyre, which is also as high as it is long [m]."""
+"""Size of a usual tyre, whose height equals its length [m]."""
 CLEARANCE, HEIGHT = 0.25, 0.9
-"""Of the body's lower edge above the ground, and from there to its upper edge [m]."""
-ABOVE = 2.0
-"""Height of wind and words, over the car [m]."""
+"""Height of the lower edge of the body above the ground, and height of the body [m]."""
+LABEL_HEIGHT = 2.0
+"""Height of wind arrow and text above the ground [m]."""
 WIND_TIME = 0.5
-"""Length of the arrow per speed of the wind [s]."""
+"""Length of the arrow per wind speed [s]."""
 CALM = 0.1
-"""Wind that is not drawn [m/s]."""
+"""Slowest wind that is drawn [m/s]."""
 
 Colour = tuple[float, float, float, float]
-# Okabe and Ito's colours, which the colour-blind can tell apart; red, green, blue, opacity
+# Colours by Okabe and Ito, distinguishable with colour blindness; red, green, blue, opacity
 BLUE: Colour = (0.0, 0.45, 0.70, 0.6)
 VERMILION: Colour = (0.84, 0.37, 0.0, 0.9)
 ORANGE: Colour = (0.90, 0.62, 0.0, 1.0)
@@ -34,18 +34,18 @@ NO_POINTS = np.empty((0, 2))
 
 
 class Car(NamedTuple):
-    """Where the parts of a car are, from its rear axle [m]."""
+    """Dimensions of a car [m]."""
 
     wheelbase: float
     width: float
     front_overhang: float
     rear_overhang: float
     rear_axle: float = 0.0
-    """Position of the rear axle ahead of the point that `odom` describes."""
+    """Position of the rear axle ahead of the point that `odom` describes [m]."""
 
 
 class Shape(NamedTuple):
-    """One thing to draw; name and number stay the same, so that a viewer moves it."""
+    """One marker; name and number stay the same, so that a viewer moves it."""
 
     name: str
     number: int
@@ -53,40 +53,40 @@ class Shape(NamedTuple):
     """`cube`, `line`, `arrow` (from the first point to the second) or `text`."""
     colour: Colour
     size: tuple[float, float, float]
-    """Of a cube; width of a line; shaft, head and length of head of an arrow; text: height [m]."""
+    """Cube: its size; line: width; arrow: shaft, head, length of head; text: height [m]."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw: float = 0.0
     points: Array = NO_POINTS
-    """(n, 2) of a line or an arrow."""
+    """Points of a line or an arrow (n, 2) [m]."""
     height: float = 0.0
-    """Of the points above the ground [m]."""
+    """Height of the points above the ground [m]."""
     text: str = ""
 
 
 class View(NamedTuple):
-    """What is known of a drive."""
+    """Current values of a drive."""
 
     state: VehicleState
     steering: float = 0.0
     """Road-wheel angle [rad]."""
     wind: tuple[float, float] = (0.0, 0.0)
-    """In `map` [m/s]."""
+    """Wind velocity in `map` [m/s]."""
     reference: Array = NO_POINTS
     prediction: Array = NO_POINTS
     stop: bool = False
-    """Whether the controller asks for a stop."""
+    """Whether the controller requests a stop."""
 
 
 def car_of(chassis: ChassisParameters, size: SizeParameters, base_link_to_cg: float) -> Car:
-    """Give the car of a vehicle file; a negative distance says that `odom` is at the rear axle."""
+    """Return the car of a vehicle file; with a negative distance, `odom` is at the rear axle."""
     to_rear = 0.0 if base_link_to_cg < 0 else base_link_to_cg - chassis.cg_to_rear_axle
     overhangs = size.front_overhang, size.rear_overhang
     return Car(chassis.wheelbase, size.width, *overhangs, rear_axle=to_rear)
 
 
 def shapes(view: View, car: Car) -> list[Shape]:
-    """Give all there is to draw; what is not known is left out."""
-    drawn = [_body(view, car), *_wheels(view, car), _words(view)]
+    """Return all shapes; those without values are left out."""
+    drawn = [_body(view, car), *_wheels(view, car), _label(view)]
     if len(view.reference) > 1:
         drawn.append(Shape("reference_path", 0, "line", GREY, (0.15, 0, 0), points=view.reference))
     if len(view.prediction) > 1:
@@ -97,8 +97,8 @@ def shapes(view: View, car: Car) -> list[Shape]:
     return drawn
 
 
-def thinned(points: Array, most: int = MOST_POINTS) -> Array:
-    """Give at most so many points of a path (n, 2), evenly taken, with its first and its last.
+def thinned(points: Array, most: int = MAX_POINTS) -> Array:
+    """Return at most `most` evenly selected points of a path (n, 2), with its first and its last.
 
     Raises:
         ValueError: A number is not finite.
@@ -111,12 +111,12 @@ def thinned(points: Array, most: int = MOST_POINTS) -> Array:
 
 
 def wheel_angles(steering: float, wheelbase: float, track: float) -> tuple[float, float]:
-    """Give the angles of left and right wheel that turn about the same point [rad].
+    """Return the angles of left and right front wheel for a common centre of rotation [rad].
 
     Args:
         steering: Angle of the equivalent single wheel [rad].
-        wheelbase: Distance of the axles [m].
-        track: Distance of the two wheels [m].
+        wheelbase: Distance between the axles [m].
+        track: Distance between the two wheels [m].
     """
     across, along = wheelbase * math.sin(steering), wheelbase * math.cos(steering)
     inside = track / 2 * math.sin(steering)
@@ -150,21 +150,21 @@ def _wheels(view: View, car: Car) -> list[Shape]:
     ]  # fmt: skip
 
 
-def _words(view: View) -> Shape:
+def _label(view: View) -> Shape:
     text = f"{view.state.v_x:.1f} m/s, {math.degrees(view.steering):+.1f} deg"
-    at = view.state.x, view.state.y, ABOVE + 0.5
+    at = view.state.x, view.state.y, LABEL_HEIGHT + 0.5
     colour = VERMILION if view.stop else GREY
-    words = f"STOP\n{text}" if view.stop else text
-    return Shape("text", 0, "text", colour, (0, 0, 0.7), at, text=words)
+    text = f"STOP\n{text}" if view.stop else text
+    return Shape("text", 0, "text", colour, (0, 0, 0.7), at, text=text)
 
 
 def _wind(view: View) -> Shape:
     tail = np.array((view.state.x, view.state.y))
     points = np.stack((tail, tail + WIND_TIME * np.array(view.wind)))
-    return Shape("wind", 0, "arrow", SKY, (0.15, 0.4, 0.5), points=points, height=ABOVE)
+    return Shape("wind", 0, "arrow", SKY, (0.15, 0.4, 0.5), points=points, height=LABEL_HEIGHT)
 
 
 def _placed(state: VehicleState, ahead: float, left: float) -> tuple[float, float]:
-    """Give the point in `map` of one in the car's frame [m]."""
+    """Convert a point in the car's frame to `map` [m]."""
     there = at_distance(state, ahead)
     return there.x - left * math.sin(state.yaw), there.y + left * math.cos(state.yaw)

@@ -1,12 +1,12 @@
-"""In which order, and at which times, messages that have come in go into a bag.
+"""Order and log times of recorded messages.
 
 In real time the log time of a message is the time of its reception. In simulated time it is the
-`/clock` that was published last before it, or the first one for what came earlier; a quantity of
-the controller gets the stamp of the command that was published last before it. So the same run
-gives the same times.
+last `/clock` published before the message, or the first `/clock` for earlier messages; a quantity
+of the controller gets the stamp of the last command published before it. The same run therefore
+gives the same log times.
 
-A latched message may come in long after it was published, and used. It gets the time at which it
-was published: a reader sees it before the first tick that used it.
+A latched message may arrive long after it was published and used. Its log time is the time of its
+publishing, so that a reader finds it before the first tick that used it.
 """
 
 import struct
@@ -18,11 +18,11 @@ from typing import NamedTuple
 from ampc_msgs_config.types import NANOSECONDS
 
 CLOCKS_KEPT = 10_000
-"""So many times of `/clock` are remembered for messages that come in late."""
+"""Number of times of `/clock` that are kept for messages that arrive late."""
 
 
 class Arrival(NamedTuple):
-    """A serialised message that has come in."""
+    """A serialised message that has arrived."""
 
     publish_ns: int
     """Wall time of publishing [ns]."""
@@ -35,7 +35,7 @@ class Arrival(NamedTuple):
 
 
 class Arrivals:
-    """Keeps messages until those that were published before them have come in too."""
+    """Queue of messages, in which a message waits for those that were published before it."""
 
     def __init__(
         self,
@@ -46,14 +46,14 @@ class Arrivals:
         quantities: Collection[str],
         latched: Collection[str] = (),
     ) -> None:
-        """Start empty.
+        """Create an empty queue.
 
         Args:
             simulated: Whether log times are simulated times.
-            clock: Full name of the topic of the clock.
-            command: Full name of the topic of the command.
-            quantities: Full names of the topics that describe the command published before.
-            latched: Full names of the topics whose last message whoever comes late gets too.
+            clock: Full name of the clock topic.
+            command: Full name of the command topic.
+            quantities: Full names of the topics that describe the command published before them.
+            latched: Full names of the topics whose last message a late subscriber receives.
         """
         self.simulated, self.clock, self.command = simulated, clock, command
         self.quantities, self.latched = quantities, latched
@@ -61,23 +61,23 @@ class Arrivals:
         self.start_ns = time.time_ns()
         self.clock_ns = self.command_ns = 0
         self.clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)
-        self.drafted = 0
+        self.undated = 0
 
     def add(self, arrival: Arrival) -> None:
-        """Keep a message."""
+        """Add a message."""
         self.waiting.append(arrival)
 
     def take_undated(self) -> Iterator[Arrival]:
-        """Give what still waits for the simulated clock to start, each message once."""
+        """Return the messages that wait for the simulated clock to start, each message once."""
         if self.simulated and not self.clock_ns:
-            yield from self.waiting[self.drafted :]
-            self.drafted = len(self.waiting)
+            yield from self.waiting[self.undated :]
+            self.undated = len(self.waiting)
 
     def take_before(self, limit_ns: int) -> Iterator[tuple[Arrival, int]]:
-        """Give what was received before a wall time [ns], in the order of publishing.
+        """Remove the messages received before a wall time [ns], in the order of publishing.
 
         Returns:
-            Messages and their log times [ns]; none while the simulated clock has not started.
+            Messages with their log times [ns]; none before the simulated clock has started.
         """
         early = (item for item in self.waiting if item.receive_ns < limit_ns)
         started = self.clock_ns or any(item.topic == self.clock for item in early)
@@ -85,7 +85,7 @@ class Arrivals:
             yield from self.take_all_before(limit_ns)
 
     def take_all_before(self, limit_ns: int) -> Iterator[tuple[Arrival, int]]:
-        """Do the same, with log time 0 where the simulated clock has not started."""
+        """Do the same, with log time 0 if the simulated clock has not started."""
         ready = sorted(item for item in self.waiting if item.receive_ns < limit_ns)
         self.waiting = [item for item in self.waiting if item.receive_ns >= limit_ns]
         clocks = (stamp(item.data) for item in ready if item.topic == self.clock)
@@ -94,7 +94,7 @@ class Arrivals:
             yield arrival, self.log_time(arrival)
 
     def log_time(self, arrival: Arrival) -> int:
-        """Give the log time of the next message, as the head of this file says [ns]."""
+        """Return the log time of the next message, as stated at the top of this file [ns]."""
         if not self.simulated:
             latched = arrival.topic in self.latched
             published_ns = max(arrival.publish_ns, self.start_ns)
@@ -109,13 +109,13 @@ class Arrivals:
         return (self.command_ns if arrival.topic in self.quantities else 0) or self.clock_ns
 
     def clock_at(self, publish_ns: int) -> int:
-        """Give the simulated time at a wall time of publishing [ns]."""
+        """Return the simulated time at a wall time of publishing [ns]."""
         before = (clock_ns for wall_ns, clock_ns in reversed(self.clocks) if wall_ns <= publish_ns)
         return next(before, self.clocks[0][1])
 
 
 def stamp(data: bytes) -> int:
-    """Give the time at the beginning of a serialised message [ns]."""
+    """Return the time at the start of a serialised message [ns]."""
     order = "<" if data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack_from(order + "iI", data, 4)
     return int(seconds) * NANOSECONDS + int(nanoseconds)

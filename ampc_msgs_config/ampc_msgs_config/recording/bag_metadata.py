@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,11 +18,11 @@ Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 @dataclass
 class Extent:
-    """How many messages there are, and from when to when."""
+    """Number of messages and their time span."""
 
     count: int = 0
     start_ns: int = 0
-    """Earliest log time [ns]; 0 where there is no message."""
+    """Earliest log time [ns]; 0 without messages."""
     end_ns: int = 0
     """Latest log time [ns]."""
 
@@ -47,10 +47,14 @@ class Topic:
     name: str
     type_name: str
     offers: list[dict[str, Any]]
-    """Quality of service of each publisher, in the words of rosbag2."""
+    """Quality of service of each publisher, as version 9 states it."""
     type_hash: str
     encoding: str = "cdr"
     extent: Extent = field(default_factory=Extent)
+
+    def without_messages(self) -> "Topic":
+        """Return a copy with an empty extent."""
+        return replace(self, extent=Extent())
 
 
 def write_metadata(
@@ -59,13 +63,13 @@ def write_metadata(
     topics: Iterable[Topic],
     kept: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """Write `metadata.yaml`, or replace it at once: a reader sees the old text or the new one.
+    """Write `metadata.yaml`, or replace it atomically.
 
     Args:
-        folder: Of the bag.
+        folder: Folder of the bag.
         files: Extent of each file, by its name in the folder.
         topics: All topics of the bag.
-        kept: What stays as another `metadata.yaml` had it.
+        kept: Entries of another `metadata.yaml` that replace the defaults.
 
     Raises:
         OSError: It cannot be written; the old one stays.
@@ -80,7 +84,7 @@ def write_metadata(
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Give the content of `metadata.yaml`; of one that is missing or damaged, nothing."""
+    """Return the content of `metadata.yaml`, empty if it is missing or damaged."""
     try:
         content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
         return dict(content[ROOT])
@@ -89,23 +93,36 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def to_yaml(content: Any) -> str:
-    """Give the YAML text of plain lists and mappings."""
+    """Return the YAML text of plain lists and mappings."""
     return str(yaml.dump(content, Dumper=Dumper, sort_keys=False))
 
 
 def metadata_mapping(
     files: Mapping[str, Extent], topics: Iterable[Topic], kept: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Give the content of `metadata.yaml`."""
-    whole = Extent()
+    """Return the content of `metadata.yaml`."""
+    total = Extent()
     for extent in files.values():
-        whole.include(extent)
+        total.include(extent)
+    topic_entries = [
+        {
+            "topic_metadata": {
+                "name": topic.name,
+                "type": topic.type_name,
+                "serialization_format": topic.encoding,
+                "offered_qos_profiles": topic.offers,
+                "type_description_hash": topic.type_hash,
+            },
+            "message_count": topic.extent.count,
+        }
+        for topic in topics
+    ]
     information = {
         "version": VERSION,
         "storage_identifier": "mcap",
         "relative_file_paths": list(files),
-        **extent_mapping(whole),
-        "topics_with_message_count": [topic_mapping(topic) for topic in topics],
+        **extent_mapping(total),
+        "topics_with_message_count": topic_entries,
         "compression_format": "",
         "compression_mode": "",
         "files": [{"path": name, **extent_mapping(extent)} for name, extent in files.items()],
@@ -116,23 +133,9 @@ def metadata_mapping(
 
 
 def extent_mapping(extent: Extent) -> dict[str, Any]:
-    """Give an extent in the words of rosbag2."""
+    """Return an extent as rosbag2 states it."""
     return {
         "starting_time": {"nanoseconds_since_epoch": extent.start_ns},
         "duration": {"nanoseconds": extent.end_ns - extent.start_ns},
         "message_count": extent.count,
-    }
-
-
-def topic_mapping(topic: Topic) -> dict[str, Any]:
-    """Give a topic in the words of rosbag2."""
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type_name,
-            "serialization_format": topic.encoding,
-            "offered_qos_profiles": topic.offers,
-            "type_description_hash": topic.type_hash,
-        },
-        "message_count": topic.extent.count,
     }

@@ -1,7 +1,7 @@
-"""Write bags as rosbag2 lays them out: a folder with `<name>_0.mcap` and `metadata.yaml`.
+"""Write bags as rosbag2 does: a folder with `<name>_0.mcap` and `metadata.yaml`.
 
-Every viewer and `ros2 bag` read them. Chunks are closed and handed to the operating system at
-least every half second while messages come, so a process that is killed loses less than one.
+Every viewer and `ros2 bag` read them. While messages arrive, chunks are closed and passed to the
+operating system at least every half second, so a process that is killed loses less than a second.
 """
 
 import time
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mcap.writer import Writer
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from ampc_msgs_config.recording.bag_metadata import (
     FILE_NAME,
@@ -22,33 +22,17 @@ from ampc_msgs_config.recording.bag_metadata import (
     write_metadata,
 )
 from ampc_msgs_config.recording.message_types import define
-from ampc_msgs_config.types import NANOSECONDS
 
 FLUSH_PERIOD = 0.5
 """Longest wall time that a written message stays in this process [s]."""
-EVERYTHING = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
-)
-"""What a recorder asks for."""
-LATCHED_EVERYTHING = QoSProfile(
-    depth=0,
-    history=HistoryPolicy.KEEP_ALL,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""The same, where it may come late."""
-BEST_EFFORT = QoSProfile(
-    depth=0, history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-"""The same, where a publisher offers less, such as a sensor of a car."""
 
 
 class Recording:
     """A bag that is being written; a context manager.
 
     Note:
-        `write` closes a chunk every half second; whoever may fall silent calls `flush` besides.
-        Where the disk is full, each method raises a ValueError of one line; what was written
+        `write` closes a chunk every half second. A caller without new messages calls `flush`.
+        If the disk is full, each method raises a ValueError of one line; what was written
         before stays readable.
     """
 
@@ -56,10 +40,10 @@ class Recording:
         """Open a new bag.
 
         Args:
-            folder: Folder of the bag; it may exist, but must not hold a bag.
+            folder: Folder of the bag; it may exist, but must not contain a bag.
 
         Raises:
-            ValueError: The folder holds a bag already, which is left untouched.
+            ValueError: The folder contains a bag, which is left unchanged.
         """
         self.folder = folder.resolve()
         self.file = self.folder / f"{self.folder.name}_0.mcap"
@@ -69,13 +53,13 @@ class Recording:
         self.flush()
 
     def begin_anew(self) -> None:
-        """Forget what was written; in the folder it stays until `flush` replaces it at once."""
+        """Discard the content; the file in the folder stays until `flush` replaces it."""
         with self.on_disk():
             self.stream.close()
         self.begin()
 
     def begin(self) -> None:
-        """Begin a file beside the one in the folder, which `flush` replaces."""
+        """Open a draft beside the file in the folder, which `flush` replaces."""
         self.topics: dict[str, Topic] = {}
         self.channels: dict[str, int] = {}
         self.schemas: dict[str, int] = {}
@@ -87,16 +71,16 @@ class Recording:
             self.writer.start(profile="ros2", library="ampc_msgs_config")
 
     def __enter__(self) -> "Recording":
-        """Give the open bag."""
+        """Return the open bag."""
         return self
 
     def __exit__(self, kind: object, error: object, _: object) -> None:
-        """Close the bag; one that could not be written is closed already."""
+        """Close the bag, unless a failed write has closed it already."""
         if not self.stream.closed:
             self.close()
 
-    def add_topic(self, name: str, type_name: str, offers: Sequence[QoSProfile]) -> None:
-        """Announce a topic.
+    def add_topic(self, name: str, type_name: str, offers: Sequence[Qos] = ()) -> None:
+        """Add a topic.
 
         Args:
             name: Full name, such as `/odom`.
@@ -107,7 +91,7 @@ class Recording:
         if type_name not in self.schemas:
             text = definition.text.encode()
             self.schemas[type_name] = self.writer.register_schema(type_name, "ros2msg", text)
-        profiles = [qos_mapping(offer) for offer in offers]
+        profiles = [dict(qos) for qos in dump_qos_v9(list(offers))]
         metadata = {
             "offered_qos_profiles": to_yaml(profiles).strip(),
             "topic_type_hash": definition.type_hash,
@@ -117,7 +101,7 @@ class Recording:
         self.topics[name] = Topic(name, type_name, profiles, definition.type_hash)
 
     def write(self, name: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Add a serialised message to an announced topic; times are [ns]."""
+        """Add a serialised message to a topic that was added before; times are [ns]."""
         number = self.topics[name].extent.count
         with self.on_disk():
             self.writer.add_message(self.channels[name], log_time_ns, data, publish_time_ns, number)
@@ -127,7 +111,7 @@ class Recording:
             self.flush()
 
     def flush(self) -> None:
-        """Close the chunk, and hand all that was written to the operating system."""
+        """Close the chunk, and pass all that was written to the operating system."""
         with self.on_disk():
             self.writer.flush()
             if self.draft.exists():
@@ -144,11 +128,11 @@ class Recording:
 
     @contextmanager
     def on_disk(self) -> Iterator[None]:
-        """Say in one line that the disk does not take more, and leave the file as it is."""
+        """Raise a ValueError of one line if writing fails, and leave the file as it is."""
         try:
             yield
         except OSError as error:
-            self.stream.raw.close()  # what waits before it would fail again
+            self.stream.raw.close()  # flushing its buffer would fail again
             raise ValueError(
                 f"{self.folder}: recording ends: {error.strerror}; "
                 "what was written before stays, and recover makes it a complete bag"
@@ -156,10 +140,10 @@ class Recording:
 
 
 def claim(file: Path) -> None:
-    """Make a new, empty file in a folder that holds no bag.
+    """Create an empty file in a folder that contains no bag.
 
     Raises:
-        ValueError: There is a bag, or the folder cannot be written.
+        ValueError: The folder contains a bag or cannot be written.
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -168,24 +152,3 @@ def claim(file: Path) -> None:
         file.open("xb").close()
     except OSError as error:
         raise ValueError(f"{file.parent}: cannot record there: {error.strerror}") from error
-
-
-def qos_mapping(qos: QoSProfile) -> dict[str, Any]:
-    """Give a quality of service in the words of rosbag2."""
-    return {
-        "history": qos.history.short_key,
-        "depth": qos.depth,
-        "reliability": qos.reliability.short_key,
-        "durability": qos.durability.short_key,
-        "deadline": duration_mapping(qos.deadline),
-        "lifespan": duration_mapping(qos.lifespan),
-        "liveliness": qos.liveliness.short_key,
-        "liveliness_lease_duration": duration_mapping(qos.liveliness_lease_duration),
-        "avoid_ros_namespace_conventions": qos.avoid_ros_namespace_conventions,
-    }
-
-
-def duration_mapping(duration: Duration) -> dict[str, int]:
-    """Give a duration in the words of rosbag2."""
-    seconds, nanoseconds = divmod(duration.nanoseconds, NANOSECONDS)
-    return {"sec": seconds, "nsec": nanoseconds}

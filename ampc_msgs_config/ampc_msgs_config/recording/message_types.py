@@ -1,12 +1,13 @@
-"""The message type of each topic, and what is known about a type, given by its name."""
+"""Message types: that of each topic, and what a bag states about a type."""
 
 import importlib
-import json
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_typestore
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ampc_msgs_config import topics
 
@@ -30,12 +31,11 @@ TYPES = {
 }
 """Message type of each topic of the contract."""
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
-"""The message types that come with ROS 2 Jazzy, whether they are installed or not."""
-SEPARATOR = "\n" + "=" * 80 + "\nMSG: {}\n"
+"""Message types of ROS 2 Jazzy, installed or not; `define` adds others."""
 
 
 class Definition(NamedTuple):
-    """What a reader needs to understand a message type that it does not know."""
+    """Definition of a message type, enough for a reader that does not know the type."""
 
     text: str
     """The `.msg` text, followed by those of all types inside it."""
@@ -43,8 +43,9 @@ class Definition(NamedTuple):
     """ROS type hash, `RIHS01_...`."""
 
 
+@cache
 def message_class(type_name: str) -> Any:
-    """Give the Python class of a message type, such as `nav_msgs/msg/Odometry`.
+    """Return the Python class of a message type, such as `nav_msgs/msg/Odometry`.
 
     Raises:
         ValueError: The type is not installed.
@@ -56,39 +57,46 @@ def message_class(type_name: str) -> Any:
         raise ValueError(f"{type_name}: this message type is not installed") from error
 
 
-def type_name_of(message: Any) -> str:
-    """Give the name of a message class, such as `nav_msgs/msg/Odometry`."""
-    return f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
+def type_name_of(message_class: Any) -> str:
+    """Return the name of a message class, such as `nav_msgs/msg/Odometry`."""
+    return f"{message_class.__module__.split('.')[0]}/msg/{message_class.__name__}"
 
 
 @cache
 def define(type_name: str) -> Definition:
-    """Give the definition of a message type that is installed, or that comes with ROS 2 Jazzy.
-
-    Args:
-        type_name: Such as `nav_msgs/msg/Odometry`.
+    """Return the definition of a message type that is installed, or that belongs to ROS 2 Jazzy.
 
     Raises:
         ValueError: The type is neither.
     """
-    try:
-        description = json.loads(share(type_name).with_suffix(".json").read_text(encoding="utf-8"))
-        hashes = {item["type_name"]: item["hash_string"] for item in description["type_hashes"]}
-        text = share(type_name).read_text(encoding="utf-8")
-        for inner in sorted(hashes.keys() - {type_name}):
-            text += SEPARATOR.format(inner.replace("/msg/", "/"))
-            text += share(inner).read_text(encoding="utf-8")
-    except (ImportError, OSError, ValueError) as error:
-        if type_name in JAZZY.fielddefs:
-            text, _ = JAZZY.generate_msgdef(type_name, ros_version=2)
-            return Definition(text, JAZZY.hash_rihs01(type_name))
-        raise ValueError(f"{type_name}: this message type is not installed: {error}") from error
-    return Definition(text, hashes[type_name])
+    if type_name not in JAZZY.fielddefs:
+        try:
+            JAZZY.register(read_definitions(type_name))
+        except (ImportError, OSError, ValueError) as error:
+            raise ValueError(f"{type_name}: this message type is not installed: {error}") from error
+    text, _ = JAZZY.generate_msgdef(type_name, ros_version=2)
+    return Definition(text, JAZZY.hash_rihs01(type_name))
 
 
-def share(type_name: str) -> Path:
-    """Give the `.msg` file of a type, which lies beside its Python package in `<prefix>/share`."""
+def read_definitions(type_name: str) -> dict[str, Any]:
+    """Return the parsed `.msg` files of a type and of the types inside it that JAZZY lacks."""
     package, _, name = type_name.split("/")
+    # The files are beside the Python package, in <prefix>/share.
     module = Path(str(importlib.import_module(package).__file__))
-    files = [parent / "share" / package / "msg" / f"{name}.msg" for parent in module.parents]
-    return next((file for file in files if file.is_file()), files[-1])
+    candidates = [parent / "share" / package / "msg" / f"{name}.msg" for parent in module.parents]
+    file = next((file for file in candidates if file.is_file()), candidates[-1])
+    types = dict(get_types_from_msg(file.read_text(encoding="utf-8"), type_name))
+    for _, field_type in types[type_name][1]:
+        for inner in names_in(field_type):
+            if inner not in JAZZY.fielddefs:
+                types |= read_definitions(inner)
+    return types
+
+
+def names_in(field_type: Any) -> Iterator[str]:
+    """Return the name of the message type in a field, also in an array or a sequence."""
+    kind, content = field_type
+    if kind is Nodetype.NAME:
+        yield content
+    elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from names_in(content[0])

@@ -1,6 +1,6 @@
-"""`/tf` and `/tf_static` as odometry implies them: where a 3D viewer has to draw the car.
+"""Build `/tf` and `/tf_static` from odometry, so that a 3D viewer can place the car.
 
-tf2_msgs does not come with the ROS wheels, so its messages are serialised by the library rosbags.
+The ROS wheels lack tf2_msgs; the library rosbags serialises its messages.
 """
 
 import math
@@ -11,7 +11,7 @@ from ampc_msgs_config.recording.message_types import JAZZY
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 FOOTPRINT = "base_footprint"
-"""The car's place on the ground, as REP-120 names it. Our motion is planar: it is `base_link`."""
+"""Projection of the car onto the ground (REP-120). Our motion is planar: it is `base_link`."""
 
 TfMessage, TransformStamped, Transform, Vector3, Quaternion, Header = (
     JAZZY.types[name]
@@ -27,11 +27,11 @@ TfMessage, TransformStamped, Transform, Vector3, Quaternion, Header = (
 
 
 def pose_transform(odometry: bytes) -> bytes | None:
-    """Give the `/tf` message of a serialised odometry: its frame -> its child frame.
+    """Build the `/tf` message of a serialised odometry: its frame -> its child frame.
 
     Returns:
-        A serialised tf2_msgs/TFMessage with the stamp, position and quaternion of the odometry,
-        or None where they are no place: not finite, a quaternion of zeros, or a frame without name.
+        A serialised tf2_msgs/TFMessage with the stamp, position and quaternion of the odometry, or
+        None if they are not finite, the quaternion is zero, or a frame has no name.
     """
     message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
     p, q = message.pose.pose.position, message.pose.pose.orientation
@@ -40,19 +40,19 @@ def pose_transform(odometry: bytes) -> bytes | None:
         return None
     if not message.header.frame_id or not message.child_frame_id:
         return None
-    place: Any = Transform(Vector3(*translation), Quaternion(*rotation))
-    return serialized(message.header, message.child_frame_id, place)
+    transform: Any = Transform(Vector3(*translation), Quaternion(*rotation))
+    return serialized(message.header, message.child_frame_id, transform)
 
 
 def footprint_transform(odometry: bytes) -> bytes:
-    """Give the `/tf_static` message of a serialised odometry: its child frame -> FOOTPRINT."""
+    """Build the `/tf_static` message of a serialised odometry: its child frame -> FOOTPRINT."""
     message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
-    place: Any = Transform(Vector3(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    transform: Any = Transform(Vector3(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
     header: Any = Header(message.header.stamp, message.child_frame_id)
-    return serialized(header, FOOTPRINT, place)
+    return serialized(header, FOOTPRINT, transform)
 
 
-def serialized(header: Any, child: str, place: Any) -> bytes:
-    """Give one transform as a serialised tf2_msgs/TFMessage."""
-    transform = TransformStamped(header, child, place)
-    return bytes(JAZZY.serialize_cdr(TfMessage([transform]), TF_MESSAGE))
+def serialized(header: Any, child: str, transform: Any) -> bytes:
+    """Return one transform as a serialised tf2_msgs/TFMessage."""
+    stamped = TransformStamped(header, child, transform)
+    return bytes(JAZZY.serialize_cdr(TfMessage([stamped]), TF_MESSAGE))

@@ -148,8 +148,7 @@ def make_bag(folder: Path, minutes: float, start: float = 1.0) -> Path:
         def write(messages: dict[str, Any], stamp_ns: int) -> None:
             for name, message in messages.items():
                 if f"/{name}" not in recording.topics:
-                    kind = ros.LATCHED if stamp_ns == begin else ros.RELIABLE
-                    recording.add_topic(f"/{name}", type_name_of(type(message)), [kind])
+                    recording.add_topic(f"/{name}", type_name_of(type(message)))
                 recording.write(f"/{name}", serialize_message(message), stamp_ns, stamp_ns)
 
         write(once(begin), begin)

@@ -23,9 +23,9 @@ from rosbags.highlevel import AnyReader
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import read
-from launch_scripts.recover import recover
+from launch_scripts.bags.recovery import recover
 from launch_scripts.run.environment import ros_environment
+from tests.bag_samples import read
 from tests.workshop.proofs.killed_recorder import RATE, car, drive, recorder, wait_until
 
 LONGEST = 6.0
