@@ -14,9 +14,10 @@ from sensor_msgs.msg import JointState
 
 from ampc_msgs_config.types import (
     NANOSECONDS,
+    RECORD_QUANTITIES,
     Command,
     Diagnosis,
-    Supervision,
+    Plan,
     VehicleState,
     quaternion_from_yaw,
     yaw_from_quaternion,
@@ -48,7 +49,7 @@ DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
 """Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
 ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
 """What has been counted since the controller was configured."""
-TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
+TICK_QUANTITIES = (*DEBUG_QUANTITIES, *RECORD_QUANTITIES, *ACCOUNT)
 """Names in `controller/tick`."""
 QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
 CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))
@@ -208,7 +209,7 @@ def target_speed(message: TwistStamped) -> Stamped:
     return Stamped(nanoseconds(message.header.stamp), speed)
 
 
-def steering_message(command: Command) -> JointState:
+def steering_message(command: Plan | Command) -> JointState:
     """Pack a command: position = angle [rad], velocity = rate [rad/s]."""
     return joint_message(command.stamp_ns, command.steering, command.steering_rate)
 

@@ -45,7 +45,7 @@ MODES = (
 TRACKING, STANDSTILL, PATH_END, REVERSE, WRONG_WAY = range(len(MODES))
 
 RUNGS = ("optimal", "slack", "shifted_plan", "feed_forward", "stop")
-"""The ladder of fall-backs, from the exact solution down to the request to stop."""
+"""The fallback chain, from the exact solution down to a request to stop."""
 OPTIMAL, SLACK, SHIFTED_PLAN, FEED_FORWARD, STOP = range(len(RUNGS))
 
 REASONS = (
@@ -60,7 +60,7 @@ REASONS = (
     "wrong_way",
     "driving_backwards",
 )
-"""Why a command does not come from the top of the ladder."""
+"""Why a command is not the optimal solution."""
 
 LIMITS = (
     "none",
@@ -116,8 +116,8 @@ class Diagnosis(NamedTuple):
     """1 where the speed or reference lies outside the gain table's grid and was clamped."""
 
 
-class Command(NamedTuple):
-    """Answer of a controller to one state."""
+class Plan(NamedTuple):
+    """Result of one step of a controller."""
 
     stamp_ns: int
     """Stamp of the state that it answers [ns]."""
@@ -127,46 +127,91 @@ class Command(NamedTuple):
     """Rate at which the angle is to be reached [rad/s]."""
     diagnosis: Diagnosis
     prediction: NDArray[np.float64] | None = None
-    """(H, 2) points in `map` where the controller expects the centre of gravity [m]."""
-    plan: NDArray[np.float64] | None = None
-    """(n,) angles that it means to command at this and the following ticks [rad]."""
+    """(H, 2) predicted positions of the centre of gravity in `map` [m]."""
+    angles: NDArray[np.float64] | None = None
+    """(n,) planned angles of this and the following ticks [rad]."""
+
+    @property
+    def cross_track_error(self) -> float:
+        """Signed distance of the centre of gravity from the path, positive to its left [m]."""
+        return self.diagnosis.cross_track_error
+
+    @property
+    def status(self) -> str:
+        """Mode of the controller, or that the QP was not solved."""
+        return MODES[int(self.diagnosis.mode)] if self.diagnosis.converged else "QP not solved"
 
 
-class Supervision(NamedTuple):
-    """What became of a controller's answer on its way to the steering, and by which inputs.
+class Command(NamedTuple):
+    """Steering command after fallback chain and guard, with its reasons."""
 
-    With the state that the command's stamp names, and the path in force, these are all inputs of a
-    tick: a recording of them can be repeated bit for bit.
+    stamp_ns: int
+    """Stamp of the newest accepted state [ns]."""
+    steering: float
+    """Commanded road-wheel angle [rad]."""
+    steering_rate: float
+    """Rate at which the angle is to be reached [rad/s]."""
+    planned_steering: float
+    """Angle chosen by the fallback chain, before the guard [rad]."""
+    rung: int
+    """Index in RUNGS."""
+    reason: int
+    """Index in REASONS."""
+    clipped: int
+    """Index in LIMITS."""
+    plan: Plan
+    """Newest result of the controller."""
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """Diagnosis of the controller."""
+        return self.plan.diagnosis
+
+
+class TickRecord(NamedTuple):
+    """A command and the inputs of its tick, as published on `controller/tick`.
+
+    Together with the state named by the command's stamp, and the path in use, these are all inputs
+    of a tick: a recording of them can be replayed bit for bit.
     """
 
-    steering: float
-    """Angle that was commanded [rad]."""
-    planned_steering: float
-    """Angle that the ladder asked for, before the guard [rad]."""
-    rung: float
-    """Index in RUNGS."""
-    reason: float
-    """Index in REASONS."""
-    clipped: float
-    """Index in LIMITS."""
+    command: Command
     state_age: float
-    """Since the stamp of the state [s]."""
+    """Time since the stamp of the state [s]."""
     state_silence: float
-    """Since the state has come in [s]."""
+    """Time since the arrival of the state [s]."""
     path_age: float
-    """Since the stamp of the path [s]."""
+    """Time since the stamp of the path [s]."""
     path_silence: float
-    """Since the path has come in [s]."""
+    """Time since the arrival of the path [s]."""
     measured_steering: float
-    """Road-wheel angle that came in since the last tick; nan: none [rad]."""
+    """Road-wheel angle measured since the last tick; nan: none [rad]."""
     stop_requested: float
-    """1 once a stop has been asked for."""
+    """1 once a stop has been requested."""
     resets: float
-    """How often the controller has started anew, because time or the car's place jumped."""
+    """Number of restarts of the controller after a jump of time or position."""
     configuration: float
-    """Number of the configuration in force."""
+    """Number of the configuration in use."""
     qp_fault: float
-    """1 where the solver was made to fail, for a test."""
+    """1 while the solver is made to fail by fault injection."""
+
+    @property
+    def quantities(self) -> tuple[float, ...]:
+        """Published numbers, in the order of RECORD_QUANTITIES."""
+        command = self.command
+        chosen = command.steering, command.planned_steering, command.rung
+        return (*chosen, command.reason, command.clipped, *self[1:])
+
+
+RECORD_QUANTITIES = (
+    "steering",
+    "planned_steering",
+    "rung",
+    "reason",
+    "clipped",
+    *TickRecord._fields[1:],
+)
+"""Names of `TickRecord.quantities` in `controller/tick`."""
 
 
 @compiled

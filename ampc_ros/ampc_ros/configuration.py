@@ -1,6 +1,6 @@
-"""All that a controller is made of, as values: what a run was made with, and may be made with anew.
+"""Serialisable configuration of a controller, complete enough to rebuild it exactly.
 
-As YAML text it goes over a latched topic, and so into every recording.
+It is published as YAML on a latched topic, and so is part of every recording.
 """
 
 from collections.abc import Mapping
@@ -27,30 +27,33 @@ CONTROLLERS = {
     "pure_pursuit": "geometric baseline on the rear axle",
 }
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
-"""Gains that hold for any car; `default_table` knows better ones."""
+"""Gains for any car; `default_table` selects gains tuned for one car."""
 CLASSIC_SPEED = 9.0
-"""Speed at which the classic MPC's model stays, that of the paper's Sc1 [m/s]."""
+"""Speed of the classic MPC's fixed model, that of the paper's Sc1 [m/s]."""
+FILE_SEPARATOR = ".py:"
+"""In the name of a custom controller, `FILE.py:CLASS`."""
 
 
 class Choices(NamedTuple):
-    """What a user chooses, by shipped names or files."""
+    """Choices of a user, by shipped names or files."""
 
     controller: str = "preview"
+    """One of CONTROLLERS, or `FILE.py:CLASS`."""
     vehicle: str = "paper"
     settings: str = "table3"
     gain_table: str = ""
     """Empty: see `default_table`."""
     guard: str = "road"
     base_link_to_cg: float | None = None
-    """From the point that `odom` describes to the centre of gravity [m]; None: the rear axle."""
+    """Distance from the point of `odom` forward to the centre of gravity [m]; None: rear axle."""
     static_path: bool = False
-    """The path is published once and holds until the next one: it does not grow old."""
+    """The path is published once and stays valid until the next one."""
     simulated_time: bool = False
-    """Time that goes back means a simulated car that is at its start again."""
+    """Time that goes back means a simulated car at its start."""
 
 
 class Configuration(NamedTuple):
-    """What was chosen, read and checked."""
+    """Values of all choices, loaded and checked."""
 
     controller: str
     chassis: ChassisParameters
@@ -60,13 +63,13 @@ class Configuration(NamedTuple):
     gains: dict[str, Any]
     """Content of a gain table; empty for a controller without one."""
     base_link_to_cg: float
-    """From the point that `odom` describes forward to the centre of gravity [m]."""
+    """Distance from the point of `odom` forward to the centre of gravity [m]."""
     static_path: bool
     simulated_time: bool
 
     @property
     def max_angle(self) -> float:
-        """Largest angle that the controller may command [rad]."""
+        """Largest angle of controller and steering [rad]."""
         return min(self.settings.max_angle, self.steering.max_angle)
 
 
@@ -85,19 +88,19 @@ KIND_NAMES = {int: "a whole number", dict: "a mapping", bool: "true or false"}
 
 
 def default_table(controller: str, vehicle: str) -> str:
-    """Give the shipped gains for a vehicle: `preview_paper` where they are tuned for that one."""
+    """Return the name of the shipped gains, such as `preview_paper` if tuned for the vehicle."""
     name = DEFAULT_TABLES[controller]
     tuned = f"{name}_{vehicle}"
     return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
 
 
 def configuration(choices: Choices) -> Configuration:
-    """Read what a user chose.
+    """Load the choices of a user.
 
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
     """
-    check_controller(choices.controller)
+    controller = check_controller(choices.controller)
     vehicle = find("vehicles", choices.vehicle)
     chassis = load(ChassisParameters, vehicle, "chassis")
     settings = load(ControllerSettings, find("controllers", choices.settings))
@@ -105,7 +108,7 @@ def configuration(choices: Choices) -> Configuration:
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
     to_cg, gains = choices.base_link_to_cg, gain_file(choices)
     return Configuration(
-        choices.controller,
+        controller,
         chassis,
         load(SteeringParameters, vehicle, "steering"),
         settings,
@@ -117,14 +120,40 @@ def configuration(choices: Choices) -> Configuration:
     )
 
 
-def check_controller(name: str) -> None:
-    """Raise a ValueError unless there is a controller of this name."""
-    if name not in tuple(CONTROLLERS):
-        raise ValueError(f"controller = {name!r} must be one of {', '.join(CONTROLLERS)}")
+def check_controller(name: str) -> str:
+    """Return the name of a controller, that of a custom one with the absolute path of its file.
+
+    Raises:
+        ValueError: There is no controller of this name, or no such file.
+    """
+    check_controller_name(name)
+    file, separator, class_name = name.rpartition(FILE_SEPARATOR)
+    if not separator:
+        return name
+    path = Path(file + ".py").resolve()
+    if not path.is_file():
+        raise ValueError(f"controller = {name!r}: there is no file {path}")
+    return f"{path}:{class_name}"
+
+
+def check_controller_name(name: object) -> None:
+    """Raise a ValueError unless a name is one of CONTROLLERS or has the form `FILE.py:CLASS`."""
+    if name in tuple(CONTROLLERS) or is_custom(name):
+        return
+    known = ", ".join(CONTROLLERS)
+    raise ValueError(f"controller = {name!r} must be one of {known}, or FILE.py:CLASS")
+
+
+def is_custom(name: object) -> bool:
+    """Return whether a name has the form `FILE.py:CLASS` of a custom controller."""
+    if not isinstance(name, str):
+        return False
+    file, separator, class_name = name.rpartition(FILE_SEPARATOR)
+    return bool(file and separator) and class_name.isidentifier()
 
 
 def gain_file(choices: Choices) -> Path | None:
-    """Give the file of the gains, or None for a controller without gains."""
+    """Return the file of the gains; None for a controller without gains."""
     if choices.controller not in DEFAULT_TABLES:
         return None
     name = choices.gain_table or default_table(choices.controller, choices.vehicle)
@@ -132,22 +161,22 @@ def gain_file(choices: Choices) -> Path | None:
 
 
 def to_yaml(config: Configuration, number: int) -> str:
-    """Write a configuration as text that `from_yaml` reads back, number for number.
+    """Return a configuration as YAML that `from_yaml` reads back without loss.
 
     Args:
-        config: What to write.
-        number: Counts the configurations of a run; each tick names the one that it used.
+        config: Configuration to write.
+        number: Number of the configuration in its run; each tick refers to it.
     """
     items = config._asdict().items()
     return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
 
 
 def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
-    """Read a configuration and its number.
+    """Read a configuration and its number from YAML.
 
     Args:
-        text: What `to_yaml` wrote.
-        where: It comes from, for the message.
+        text: Text of `to_yaml`.
+        where: Origin of the text, for the error message.
 
     Raises:
         ValueError: Names place, key, value and bound.
@@ -163,7 +192,7 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
 def check_plain(content: Mapping[str, Any], where: str) -> None:
     """Raise a ValueError, with place, key and value, unless all that is no part is of its kind."""
     try:
-        check_controller(content["controller"])
+        check_controller_name(content["controller"])
         check_range("base_link_to_cg", content["base_link_to_cg"], TO_CG)
         for key, kind in KINDS.items():
             if not isinstance(content[key], kind):

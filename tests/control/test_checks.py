@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance, wrap_angle
 from ampc_ros.supervision import plausibility as track
-from ampc_ros.supervision.checks import StateFilter, Verdict
+from ampc_ros.supervision.checks import StateCheck, StateFilter
 from ampc_ros.supervision.plausibility import CAUSES, WINDOW
 from sim_vehicle.measurement import Deviations, noisy
 from sim_vehicle.parameters import MeasurementNoise
@@ -19,7 +19,7 @@ from sim_vehicle.parameters import MeasurementNoise
 START_NS = 1_700_000_000_000_000_000
 TICK_NS = NANOSECONDS // 10
 MS = NANOSECONDS // 1000
-ACCEPTED = Verdict(True)
+ACCEPTED = StateCheck(True)
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 UP = math.inf
 
@@ -44,7 +44,7 @@ def mirrored(one: VehicleState) -> VehicleState:
     return one._replace(y=-one.y, yaw=-one.yaw, v_y=-one.v_y, yaw_rate=-one.yaw_rate)
 
 
-def arrive(filtered: StateFilter, one: VehicleState, late_ns: int = 0) -> Verdict:
+def arrive(filtered: StateFilter, one: VehicleState, late_ns: int = 0) -> StateCheck:
     """Let a state arrive some time after its stamp."""
     return filtered.accept(one, one.stamp_ns + late_ns)
 

@@ -15,7 +15,7 @@ from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import rotate
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, load_scenario
-from ampc_msgs_config.types import Command, VehicleState, at_distance
+from ampc_msgs_config.types import Plan, VehicleState, at_distance
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
@@ -143,7 +143,7 @@ class AtCentreOfGravity:
         """Make the controller by its name."""
         self.controller = make_controller(Choices(controller, base_link_to_cg=0.0))
 
-    def step(self, state: VehicleState, path: ReferencePath) -> Command:
+    def step(self, state: VehicleState, path: ReferencePath) -> Plan:
         """Answer a state of the rear axle, after moving it to the centre of gravity."""
         return self.controller.step(at_distance(state, TO_CG), path)
 

@@ -86,7 +86,7 @@ def test_a_stop_that_was_requested_is_reported_until_it_is_taken_back(
     assert node.supervisor.stop_requested
     level, said = world.at(0.8, node)
     assert (level, "a stop has been requested" in said) == (WARN, True)
-    node.supervisor.stop_requested = False
+    node.supervisor.clear_stop()
     assert world.at(0.9, node) == (OK, "OK")
 
 
@@ -174,7 +174,7 @@ def test_the_car_is_braked_too_where_the_state_is_what_was_lost(
         node.on_stop_request(Bool(data=True))
         for tick in range(1, 31):
             world.at(2.0 + tick / 10, node, odom=False)
-            node.on_blind()
+            node.on_braking_timer()
     assert speeds[0] == 9.0
     assert speeds[1:] == sorted(speeds[1:], reverse=True)
     assert speeds[-1] < 4.0
@@ -191,8 +191,8 @@ def test_the_car_is_braked_while_a_stop_is_requested_in_real_time_only(lock_step
         speeds = []
         for tick in range(1, 60):
             node.on_odometry(odometry(tick * NANOSECONDS // 10))
-            assert node.answer
-            speeds.append(node.answer.twist.linear.x)
+            assert node.newest
+            speeds.append(node.newest.twist.linear.x)
     if lock_step:
         assert min(speeds) > 5.0
     else:

@@ -19,7 +19,7 @@ from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replay import main
 from launch_scripts.replaying.recorded_run import read_run
-from launch_scripts.replaying.repetition import differences, repeat, with_value
+from launch_scripts.replaying.repetition import differences, replay_ticks, with_value
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.configuration import Configuration as SimulatedCar
 from sim_vehicle.configuration import to_yaml
@@ -63,7 +63,7 @@ def drive_in_lock_step(folder: Path, name: str, controller: str = "preview") -> 
             simulation.advance(decision.command.steering, speed, TICK_NS)
 
 
-def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[float]:
+def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[int]:
     """Record a drive with its own clock, late states and whatever else; gives the rungs."""
     rng, scenario = np.random.default_rng(seed), scenario_of("sc2", 8.0)
     supervisor = Supervisor(configuration(Choices(static_path=True)))
@@ -89,7 +89,7 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[fl
             if decision:
                 commands, steering = commands + 1, decision.command.steering
                 bag.decision(decision, commands)
-                rungs.append(decision.supervision.rung)
+                rungs.append(decision.command.rung)
             simulation.advance(steering, planner.target_speed(state), STEP_NS)
     return rungs
 
@@ -124,7 +124,7 @@ def nothing(_: Supervisor, __: int) -> None:
 
 def qp_fails(supervisor: Supervisor, step: int) -> None:
     """Let the solver fail for a second."""
-    supervisor.ladder.qp_fault = 100 <= step < 150
+    supervisor.inject_qp_fault(100 <= step < 150)
 
 
 def gains_change(supervisor: Supervisor, step: int) -> None:
@@ -138,13 +138,13 @@ def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
     """Ask for a stop by a second of failures, then take that back."""
     qp_fails(supervisor, step)
     if step == 300:
-        supervisor.stop_requested = False
+        supervisor.clear_stop()
 
 
 def assert_same_bits(folder: Path) -> None:
     """Replay, and find no difference."""
     run = read_run(folder)
-    decisions = list(repeat(run.ticks, run.config))
+    decisions = list(replay_ticks(run.ticks, run.config))
     for tick, decision in zip(run.ticks, decisions, strict=True):
         assert differences(tick, decision, 0.0) == []
 
@@ -217,9 +217,9 @@ def test_the_first_difference_is_shown_with_its_inputs(
             decision = supervisor.tick(state.stamp_ns)
             assert decision
             if tick == 3:  # a bit flips
-                angle = float(np.nextafter(decision.supervision.steering, 1.0))
-                wrong = decision.supervision._replace(steering=angle)
-                decision = decision._replace(supervision=wrong)
+                angle = float(np.nextafter(decision.command.steering, 1.0))
+                wrong = decision.command._replace(steering=angle)
+                decision = decision._replace(command=wrong)
             bag.decision(decision, tick)
     assert main([str(tmp_path / "bag")]) == 1
     said = capsys.readouterr().out

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
-from ampc_msgs_config.types import Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
+from ampc_ros.controller_interface import ControllerDefaults
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
@@ -16,8 +17,10 @@ from ampc_ros.paper.tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
 Array = NDArray[np.float64]
 
 
-class LateralMpc:
+class LateralMpc(ControllerDefaults):
     """Adaptive MPC of the paper; with a nominal speed set, the classic MPC it is compared with."""
+
+    formulation = "paper"
 
     def __init__(
         self,
@@ -59,7 +62,7 @@ class LateralMpc:
         """Angle commanded last [rad]."""
         return float(self.memory[STEERING])
 
-    def step(self, state: VehicleState, path: Path) -> Command:
+    def step(self, state: VehicleState, path: Path) -> Plan:
         """Answer one state; see `paper_tick`.
 
         Args:
@@ -75,8 +78,8 @@ class LateralMpc:
         steering, rate, diagnosis = paper_answer(
             self.numbers, table, self.road, tuple(state), self.memory, scratch, angles
         )
-        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        return answer._replace(plan=angles[: int(answer.diagnosis.control_horizon)])
+        answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        return answer._replace(angles=angles[: int(answer.diagnosis.control_horizon)])
 
     def check(self, path: Path) -> None:
         """Refuse what `step` would refuse.

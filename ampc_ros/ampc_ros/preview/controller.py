@@ -6,7 +6,8 @@ import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
+from ampc_ros.controller_interface import Controller, ControllerDefaults, Estimates
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import scratch_numbers
@@ -27,8 +28,10 @@ from ampc_ros.preview.tick import (
 )
 
 
-class PreviewMpc:
+class PreviewMpc(ControllerDefaults):
     """Adaptive MPC in path coordinates, the default."""
+
+    formulation = "preview"
 
     def __init__(
         self,
@@ -66,23 +69,28 @@ class PreviewMpc:
         self.path: Path | None = None
         self.last_ns: int | None = None
 
-    def inherit(self, other: "PreviewMpc") -> None:
-        """Go on with what another controller of the same car has learnt: without a bump.
+    @property
+    def estimates(self) -> Estimates:
+        """Memory of the controller and the stamp of the last answered state."""
+        return Estimates(self.memory, self.last_ns)
 
-        That is the disturbance, counted per tick, and how the speed changes.
-        """
-        ticks = self.period / other.period
-        self.memory[DISTURBANCE:EXPECTED] = ticks * other.memory[DISTURBANCE:EXPECTED]
+    def inherit(self, other: Controller) -> None:
+        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
+        estimates = other.estimates if other.formulation == self.formulation else None
+        if estimates is None:
+            return
+        ticks, memory = self.period / other.period, estimates.values
+        self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
         for each in (LAST_SPEED, ACCELERATION):
-            self.memory[each] = other.memory[each]
-        self.last_ns = other.last_ns
+            self.memory[each] = memory[each]
+        self.last_ns = estimates.stamp_ns
 
     @property
     def steering(self) -> float:
         """Angle commanded last [rad]."""
         return float(self.memory[-1])
 
-    def step(self, state: VehicleState, path: Path) -> Command:
+    def step(self, state: VehicleState, path: Path) -> Plan:
         """Answer one state; see `preview_tick`.
 
         Args:
@@ -98,14 +106,11 @@ class PreviewMpc:
         steering, rate, diagnosis = preview_answer(
             self.numbers, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
-        answer = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
         if math.isnan(answer.diagnosis.prediction_horizon):
             return answer
         H = int(answer.diagnosis.prediction_horizon) + self.belief.actuator.ticks
-        return answer._replace(prediction=points[:H, :2], plan=points[:H, 2])
-
-    def check(self, path: Path) -> None:
-        """Take any path."""
+        return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Go on from an angle that was commanded by somebody else; see `Controller`."""

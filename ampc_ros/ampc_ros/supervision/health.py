@@ -1,6 +1,6 @@
-"""How a supervised controller is, in one sentence and in numbers; without ROS."""
+"""Health of a supervised controller as a sentence and as numbers; without ROS."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ampc_msgs_config.types import (
     ERROR,
@@ -10,6 +10,7 @@ from ampc_msgs_config.types import (
     OK,
     OPTIMAL,
     REASONS,
+    RECORD_QUANTITIES,
     RUNGS,
     SHIFTED_PLAN,
     STALE,
@@ -17,23 +18,24 @@ from ampc_msgs_config.types import (
     STOP,
     TRACKING,
     WARN,
+    TickRecord,
 )
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
 
 
 class Health(NamedTuple):
-    """A level and why."""
+    """A level of diagnostics and its reason."""
 
     level: int = OK
     sentence: str = ""
 
 
-def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> Health:
-    """Give the worst that is to be said now.
+def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> Health:
+    """Return the most severe condition.
 
     Args:
-        supervisor: With its inputs.
-        decision: The newest one, if there is one.
+        supervisor: Supervisor with its inputs.
+        record: Newest tick; None: there was none.
         now_ns: Time of the node's clock [ns].
     """
     if supervisor.state is None:
@@ -43,18 +45,18 @@ def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> He
     silence = max(supervisor.state.ages(now_ns))
     if silence > supervisor.config.settings.state_lost:
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
-    said = [
-        _of_path(supervisor, now_ns),
-        *([_of_ladder(decision), _of_guard(decision), _of_place(decision)] if decision else []),
-        _of_table(supervisor, decision),
-    ]
+    conditions = [_path_health(supervisor, now_ns)]
+    if record:
+        conditions += [_fallback_health(record), _guard_health(record), _mode_health(record)]
+        conditions += [_table_health(supervisor, record)]
     if supervisor.stop_requested:
-        said.append(Health(WARN, "a stop has been requested; the service ~/reset_stop ends that"))
-    return max(said, key=lambda each: each.level)
+        text = "a stop is requested; the service ~/reset_stop takes it back"
+        conditions.append(Health(WARN, text))
+    return max(conditions, key=lambda each: each.level)
 
 
 class Condition(NamedTuple):
-    """What is reported as soon as it changes."""
+    """Values that are reported as soon as they change."""
 
     rung: float = OPTIMAL
     reason: float = 0.0
@@ -65,14 +67,14 @@ class Condition(NamedTuple):
     stop_requested: bool = False
 
 
-def condition(supervisor: Supervisor, decision: Decision) -> Condition:
-    """Give the condition after a tick."""
-    told, diagnosis = decision.supervision, decision.command.diagnosis
-    config, age = supervisor.config, max(told.path_age, told.path_silence)
+def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
+    """Return the condition after a tick."""
+    command, diagnosis = record.command, record.command.plan.diagnosis
+    config, age = supervisor.config, max(record.path_age, record.path_silence)
     return Condition(
-        told.rung,
-        told.reason,
-        told.clipped,
+        command.rung,
+        command.reason,
+        command.clipped,
         diagnosis.mode,
         diagnosis.outside_table,
         not config.static_path and age > config.settings.path_late,
@@ -80,18 +82,19 @@ def condition(supervisor: Supervisor, decision: Decision) -> Condition:
     )
 
 
-def change(before: Condition, now: Condition) -> str:
-    """Say what is worth a line of the log; empty: nothing."""
+def describe_change(before: Condition, now: Condition) -> str:
+    """Return the line for the log; empty: the change needs none."""
+    reason = REASONS[int(now.reason)]
     if now.stop_requested and not before.stop_requested:
-        return f"a stop is requested, because of {REASONS[int(now.reason)]}"
+        return f"a stop is requested, reason: {reason}"
     if before[:2] == now[:2] or max(before.rung, now.rung) < SHIFTED_PLAN:
         return ""
     if now.rung < SHIFTED_PLAN:
-        return "steering by the controller's solution again"
-    return f"steering by {RUNGS[int(now.rung)]}, because of {REASONS[int(now.reason)]}"
+        return "fallback ended: steering by the solution of the controller"
+    return f"fallback: steering by {RUNGS[int(now.rung)]}, reason: {reason}"
 
 
-def _of_path(supervisor: Supervisor, now_ns: int) -> Health:
+def _path_health(supervisor: Supervisor, now_ns: int) -> Health:
     assert supervisor.path is not None
     age, settings = max(supervisor.path.ages(now_ns)), supervisor.config.settings
     if supervisor.config.static_path or age <= settings.path_late:
@@ -105,29 +108,29 @@ def _of_path(supervisor: Supervisor, now_ns: int) -> Health:
     )
 
 
-def _of_ladder(decision: Decision) -> Health:
-    rung, reason = int(decision.supervision.rung), REASONS[int(decision.supervision.reason)]
+def _fallback_health(record: TickRecord) -> Health:
+    rung, reason = int(record.command.rung), REASONS[int(record.command.reason)]
     if rung == OPTIMAL:
         return Health()
     level = ERROR if rung >= FEED_FORWARD else WARN
     stop = ": a stop is requested" if rung == STOP else ""
-    return Health(level, f"steering by {RUNGS[rung]}, because of {reason}{stop}")
+    return Health(level, f"fallback: steering by {RUNGS[rung]}, reason: {reason}{stop}")
 
 
-def _of_guard(decision: Decision) -> Health:
-    limit = int(decision.supervision.clipped)
+def _guard_health(record: TickRecord) -> Health:
+    limit = int(record.command.clipped)
     return Health(WARN, f"the guard clips the command: {LIMITS[limit]}") if limit else Health()
 
 
-def _of_place(decision: Decision) -> Health:
-    mode = int(decision.command.diagnosis.mode)
+def _mode_health(record: TickRecord) -> Health:
+    mode = int(record.command.plan.diagnosis.mode)
     return Health(WARN, MODES[mode]) if mode > STANDSTILL else Health()
 
 
-def _of_table(supervisor: Supervisor, decision: Decision | None) -> Health:
-    """Say how far the speed lies outside what the gains were tuned for."""
+def _table_health(supervisor: Supervisor, record: TickRecord) -> Health:
+    """Return by how much the speed lies outside the gain table."""
     axis = supervisor.config.gains.get("speed", [])
-    if not decision or not decision.command.diagnosis.outside_table or len(axis) < 2:
+    if not record.command.plan.diagnosis.outside_table or len(axis) < 2:
         return Health()
     assert supervisor.state is not None
     v_x = supervisor.state.value.v_x
@@ -136,14 +139,15 @@ def _of_table(supervisor: Supervisor, decision: Decision | None) -> Health:
         return Health(WARN, "lateral reference outside the gain table: nearest edge in use")
     return Health(
         WARN,
-        f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, which holds from {axis[0]:g} to "
+        f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, valid from {axis[0]:g} to "
         f"{axis[-1]:g} m/s: nearest edge in use",
     )
 
 
-def numbers(supervisor: Supervisor, decision: Decision | None) -> dict[str, float]:
-    """Give what is worth a number: the newest tick, and all counts since the start."""
-    values: dict[str, Any] = decision.supervision._asdict() if decision else {}
-    clips = {f"clipped_{limit}": count for limit, count in supervisor.guard.count.items()}
-    refused = {f"rejected_{cause}": n for cause, n in supervisor.filter.rejected.items() if n}
-    return {**values, **{key: n for key, n in clips.items() if n}, **refused}
+def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[str, float]:
+    """Return the quantities of the newest tick, and all counts since the start."""
+    quantities = record.quantities if record else ()
+    values = dict(zip(RECORD_QUANTITIES, quantities, strict=False))
+    clips = {f"clipped_{limit}": n for limit, n in supervisor.clips.items() if n}
+    rejected = {f"rejected_{cause}": n for cause, n in supervisor.rejected.items() if n}
+    return {**values, **clips, **rejected}
