@@ -155,7 +155,7 @@ def _import_file(file: File) -> Any:
     spec = importlib.util.spec_from_file_location(f"custom_controller_{file.stem}", file)
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # for dataclasses
     sys.path.insert(0, str(file.parent))
     try:
         spec.loader.exec_module(module)

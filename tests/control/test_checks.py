@@ -376,10 +376,8 @@ def test_a_pose_may_differ_from_its_twist_by_half_a_metre_and_5_percent_of_the_w
             x = (v * 0.1 - drift / 5) * i
             verdict = arrive(filtered, state(0.1 * i, x=x, v_x=v))
         assert verdict.cause == expected
-    assert verdict.reason == (
-        f"odom: pose differs by {most:.3g} m from the twist added up over 0.5 s, "
-        f"must be at most {most:.3g} m"
-    )
+    assert f"differs by {most:.3g} m" in verdict.reason
+    assert f"at most {most:.3g} m" in verdict.reason
 
 
 @SIDES
