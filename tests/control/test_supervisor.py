@@ -321,6 +321,25 @@ def test_same_points_again_only_renew_the_path() -> None:
     assert supervisor.path.value is not before
 
 
+def test_the_controller_is_told_of_every_tick_without_a_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    supervisor = standing()
+    straight = [answer(supervisor, state(0.1 * k)).command for k in range(3)]
+    assert {each.steering for each in straight} == {0.0}
+    calls: list[tuple[float, bool]] = []
+
+    def note(steering: float, *, stepped: bool) -> None:
+        calls.append((steering, stepped))
+
+    monkeypatch.setattr(supervisor.controller, "take_over", note)
+    answer(supervisor, state(0.3))
+    assert calls == []
+    late = tick(supervisor, 0.6).command
+    assert (late.rung, late.steering) == (SHIFTED_PLAN, supervisor.controller.steering)
+    assert calls == [(0.0, False)]
+
+
 def test_lock_step_never_grows_old() -> None:
     supervisor = Supervisor(made_for(static_path=False))
     path = make_path(ROAD)

@@ -1,9 +1,11 @@
 """A recorded run goes through the controller again: the same bits, or the difference is told."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,12 @@ from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replay import main
 from launch_scripts.replaying.recorded_run import read_run
-from launch_scripts.replaying.repetition import differences, replay_ticks, with_value
+from launch_scripts.replaying.repetition import (
+    differences,
+    is_same,
+    replay_ticks,
+    with_value,
+)
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.configuration import Configuration as SimulatedCar
 from sim_vehicle.configuration import to_yaml
@@ -128,15 +135,16 @@ def qp_fails(supervisor: Supervisor, step: int) -> None:
 
 
 def gains_change(supervisor: Supervisor, step: int) -> None:
-    """Use other limits in the middle of the drive."""
+    """Change the limits during the drive."""
     if step == 90:
         settings = replace(supervisor.config.settings, max_increment=0.02)
         supervisor.reconfigure(supervisor.config._replace(settings=settings))
 
 
 def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
-    """Ask for a stop by a second of failures, then take that back."""
-    qp_fails(supervisor, step)
+    """Request a stop by a path that grows too old, then take the request back."""
+    if step in (150, 300):
+        supervisor.reconfigure(supervisor.config._replace(static_path=step == 300))
     if step == 300:
         supervisor.clear_stop()
 
@@ -167,8 +175,50 @@ def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
     disturb: Disturb, tmp_path: Path
 ) -> None:
     rungs = drive_in_real_time(tmp_path / "bag", disturb)
-    assert max(rungs) > 0  # the states that were lost are felt
+    assert max(rungs) > 0  # states were lost
     assert_same_bits(tmp_path / "bag")
+    stops = [tick.values["stop_requested"] for tick in read_run(tmp_path / "bag").ticks]
+    changes = [stop for stop, _ in groupby(stops)]
+    assert changes == ([0.0, 1.0, 0.0] if disturb is stop_is_taken_back else [0.0])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "tolerance", "same"),
+    [
+        (math.nan, math.nan, 0.0, True),
+        (math.nan, 1.0, 0.0, False),
+        (1.0, math.nan, 0.0, False),
+        (math.nan, 1.0, 1e9, False),
+        (1.0, np.nextafter(1.0, 2.0), 0.0, False),
+        (1.0, np.nextafter(1.0, 2.0), 1e-9, True),
+        (1.0, 1.1, 1e-9, False),
+        (math.inf, math.inf, 0.0, True),
+    ],
+)
+def test_numbers_are_the_same_within_the_tolerance_and_nan_only_as_nan(
+    a: float, b: float, tolerance: float, same: bool
+) -> None:
+    assert is_same(a, b, tolerance) is same
+    assert is_same(b, a, tolerance) is same
+
+
+def test_a_run_with_a_custom_controller_needs_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    text = "class Mine:\n    period = 0.1\n    def step(self, state, path): return -0.1 * state.y\n"
+    file.write_text(text, encoding="utf-8")
+    drive_in_lock_step(tmp_path / "bag", "straight", f"{file}:Mine")
+    assert main([str(tmp_path / "bag")]) == 0
+    assert main([str(tmp_path / "bag"), "--controller", f"{file}:Mine"]) == 0
+    file.unlink()
+    capsys.readouterr()
+    assert main([str(tmp_path / "bag")]) == 2
+    line = capsys.readouterr().out.strip()
+    assert line.startswith("error: ")
+    assert str(file) in line
+    assert "\n" not in line
+    assert main([str(tmp_path / "bag"), "--controller", "pure_pursuit"]) == 0
 
 
 def test_a_run_with_an_injector_replays_what_the_controller_heard(tmp_path: Path) -> None:
