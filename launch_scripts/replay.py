@@ -30,7 +30,7 @@ from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
 from launch_scripts.replaying.recorded_run import RecordedRun, RecordedTick, read_run
 from launch_scripts.replaying.repetition import (
-    Change,
+    ConfigChange,
     Difference,
     differences,
     replay_ticks,
@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return WRONG_SET_UP
 
 
-def changes_of(options: argparse.Namespace) -> list[Change]:
+def changes_of(options: argparse.Namespace) -> list[ConfigChange]:
     """Return the changes in the order of their application."""
     changes = [with_controller(options.controller)] if options.controller else []
     changes += [with_gains(options.gain_table)] if options.gain_table else []
@@ -126,7 +126,7 @@ def compare_ticks(
     """Compare a replay with the recording, print the first difference; return the exit code."""
     pairs = list(zip(run.ticks, records, strict=True))
     different = [differences(tick, record, tolerance) for tick, record in pairs]
-    console.print(summary_table(run, records, sum(map(bool, different)), took))
+    console.print(replay_table(run, records, sum(map(bool, different)), took))
     for (tick, _), difference in zip(pairs, different, strict=True):
         if difference:
             print_difference(tick, tick.now_ns - run.ticks[0].now_ns, difference, console)
@@ -135,7 +135,7 @@ def compare_ticks(
     return 0
 
 
-def summary_table(
+def replay_table(
     run: RecordedRun, records: Sequence[TickRecord], different: int, took: float
 ) -> Table:
     """Return the table of differences and speed of a replay."""

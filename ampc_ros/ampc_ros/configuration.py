@@ -140,8 +140,8 @@ def check_controller_name(name: object) -> None:
     """Raise a ValueError unless a name is one of CONTROLLERS or has the form `FILE.py:CLASS`."""
     if name in tuple(CONTROLLERS) or is_custom(name):
         return
-    known = ", ".join(CONTROLLERS)
-    raise ValueError(f"controller = {name!r} must be one of {known}, or FILE.py:CLASS")
+    names = ", ".join(CONTROLLERS)
+    raise ValueError(f"controller = {name!r} must be one of {names}, or FILE.py:CLASS")
 
 
 def is_custom(name: object) -> bool:

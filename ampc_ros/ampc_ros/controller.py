@@ -19,13 +19,13 @@ from ampc_ros.configuration import (
     gain_file,
     is_custom,
 )
-from ampc_ros.controller_interface import Controller, ControllerDefaults
+from ampc_ros.controller_interface import Controller
 from ampc_ros.mpc.gain_table import gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 
-PERIOD = {"low": 0.001, "high": 1.0, "unit": "s"}
+PERIOD_BOUNDS = {"low": 0.001, "high": 1.0, "unit": "s"}
 """Bounds of the period of a custom controller, those of `sample_time`."""
 CUSTOM_ARGUMENTS = ("chassis", "steering", "settings", "base_link_to_cg")
 """Arguments that the class of a custom controller may have."""
@@ -65,10 +65,11 @@ def build_controller(config: Configuration, source: object = "gain table") -> Co
         raise ValueError(f"{source}: {error}") from error
 
 
-class CustomController(ControllerDefaults):
+class CustomController(Controller):
     """Adapter of a user's class: every result is checked, an error holds the last angle."""
 
     formulation = "custom"
+    steering = 0.0
 
     def __init__(self, name: str, custom: Any, base_link_to_cg: float) -> None:
         """Create the adapter at rest.
@@ -79,12 +80,12 @@ class CustomController(ControllerDefaults):
             base_link_to_cg: Distance from the point of `odom` forward to the centre of gravity [m].
 
         Raises:
-            ValueError: It has no `step`, or no `period` within PERIOD.
+            ValueError: It has no `step`, or no `period` within PERIOD_BOUNDS.
         """
         if not callable(getattr(custom, "step", None)):
             raise ValueError(f"controller = {name!r}: the class has no method step(state, path)")
         period: Any = getattr(custom, "period", None)
-        check_range(f"controller = {name!r}: period", period, PERIOD)
+        check_range(f"controller = {name!r}: period", period, PERIOD_BOUNDS)
         self.name, self.custom, self.to_cg = name, custom, base_link_to_cg
         self.period = float(period)
         self.reset()

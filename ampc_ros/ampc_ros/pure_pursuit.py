@@ -5,13 +5,14 @@ import math
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path, Progress, point_at
 from ampc_msgs_config.types import Diagnosis, Plan, VehicleState, at_distance
-from ampc_ros.controller_interface import ControllerDefaults
+from ampc_ros.controller_interface import Controller
 
 
-class PurePursuit(ControllerDefaults):
+class PurePursuit(Controller):
     """Pure pursuit (Coulter 1992) with a look-ahead distance proportional to speed."""
 
     formulation = "pure_pursuit"
+    steering = 0.0
 
     def __init__(
         self,

@@ -130,7 +130,7 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
         raise ValueError(f"{bag}: holds no command that answers a recorded state")
     if len(ticks) < len(answers):
         notes.append(f"{len(answers) - len(ticks)} ticks answer a state that is not in the bag")
-    config, version = configurations(bag, messages.texts[CONTROLLER])
+    config, version = read_configurations(bag, messages.texts[CONTROLLER])
     simulator = "".join(messages.texts[SIMULATOR][-1:])
     return RecordedRun(bag, ticks, config, version, simulator, notes)
 
@@ -185,7 +185,7 @@ def resolve(message: TickMessage, states: StampIndex, paths: StampIndex) -> Reco
     return RecordedTick(now_ns, state, paths.near(path_ns, message.position), message.values)
 
 
-def configurations(bag: File, texts: Sequence[str]) -> tuple[dict[int, Configuration], str]:
+def read_configurations(bag: File, texts: Sequence[str]) -> tuple[dict[int, Configuration], str]:
     """Return the configurations of the controller by number, and the recording version."""
     config = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts]
     version = str(parsed(texts[0], "").get("version", "")) if texts else ""

@@ -21,7 +21,7 @@ from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replaying.recorded_run import RecordedTick
 
-Change = Callable[[Configuration], Configuration]
+ConfigChange = Callable[[Configuration], Configuration]
 
 
 class Difference(NamedTuple):
@@ -100,7 +100,7 @@ def is_same(a: float, b: float, tolerance: float) -> bool:
     return a == b or abs(a - b) <= tolerance or (math.isnan(a) and math.isnan(b))
 
 
-def with_controller(name: str) -> Change:
+def with_controller(name: str) -> ConfigChange:
     """Return the change to another controller, with the gains for any car.
 
     Raises:
@@ -118,13 +118,13 @@ def with_controller(name: str) -> Change:
     return change
 
 
-def with_gains(name: str) -> Change:
+def with_gains(name: str) -> ConfigChange:
     """Return the change to another gain table, by shipped name or file."""
     gains = read_gain_table(find("gains", name))
     return lambda config: config._replace(gains=gains)
 
 
-def with_value(text: str) -> Change:
+def with_value(text: str) -> ConfigChange:
     """Return the change of one value.
 
     Args:
@@ -136,8 +136,8 @@ def with_value(text: str) -> Change:
     key, equals, value_text = text.partition("=")
     part, _, name = key.rpartition(".")
     if not equals or (part, name) not in KEYS:
-        known = ", ".join(".".join(filter(None, pair)) for pair in KEYS)
-        raise ValueError(f"--set {text}: must be key=value; keys are {known}")
+        names = ", ".join(".".join(filter(None, pair)) for pair in KEYS)
+        raise ValueError(f"--set {text}: must be key=value; keys are {names}")
     value = yaml.safe_load(value_text)
 
     def change(config: Configuration) -> Configuration:

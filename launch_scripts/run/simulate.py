@@ -71,6 +71,6 @@ def simulate(
         rng=np.random.default_rng(seed),
     )
     driven = drive(simulation, controller)  # type: ignore[arg-type]
-    states = np.array([state[1:5] for state in driven.states])
+    x, y, yaw, speed = np.array([state[1:5] for state in driven.states]).T
     error = errors(driven, make_path(road.points), to_cg)[:, 0]
-    return SimulationResult(ticks(driven), *states.T, driven.steering, error)
+    return SimulationResult(ticks(driven), x, y, yaw, speed, driven.steering, error)

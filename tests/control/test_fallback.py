@@ -24,7 +24,7 @@ from ampc_msgs_config.types import (
 )
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller import build_controller
-from ampc_ros.controller_interface import ControllerDefaults
+from ampc_ros.controller_interface import Controller
 from ampc_ros.preview.tick import HOLD_BELOW, REVERSE_BELOW
 from ampc_ros.supervision.fallback import (
     AGAINST_PATH,
@@ -57,8 +57,10 @@ every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 both_cars = pytest.mark.parametrize("car", ["paper", "ordinary"])
 
 
-class Scripted(ControllerDefaults):
+class Scripted(Controller):
     """A controller that says what a test puts into its mouth."""
+
+    steering = 0.0
 
     def __init__(self, period: float = 0.1) -> None:
         """Solve everything."""

@@ -21,10 +21,10 @@ from ampc_ros.supervision.guard import (
     LONGEST_PAUSE,
     MAX_MEASURED,
     MAX_SPEED,
-    MIN_SPEED,
+    MIN_LIMITED_SPEED,
     SHORTEST,
-    Bounds,
     Guard,
+    GuardBounds,
     GuardResult,
     bounds,
     interpolate_linear,
@@ -247,13 +247,13 @@ def test_the_wheel_can_always_be_turned_to_the_other_side(side: float, v_x: floa
     assert one.steering == -side * 0.001
 
 
-@pytest.mark.parametrize("v_x", [0.0, -0.0, 1e-3, MIN_SPEED, 5e-324])
+@pytest.mark.parametrize("v_x", [0.0, -0.0, 1e-3, MIN_LIMITED_SPEED, 5e-324])
 def test_at_standstill_only_angle_and_rate_limit(v_x: float) -> None:
     bound = bounds(LIMITS_BY_SPEED, CHASSIS, v_x)
     assert bound.angle == pytest.approx(0.6, abs=0.01)
     assert bound.acceleration > 100 * bound.angle
     assert bound.jerk > 100 * bound.rate
-    assert bound == bounds(LIMITS_BY_SPEED, CHASSIS, MIN_SPEED)
+    assert bound == bounds(LIMITS_BY_SPEED, CHASSIS, MIN_LIMITED_SPEED)
 
 
 def test_between_the_speeds_limits_are_linear_and_beyond_them_held() -> None:
@@ -265,7 +265,7 @@ def test_between_the_speeds_limits_are_linear_and_beyond_them_held() -> None:
 
 def test_bounds_are_the_rows_of_the_limits_at_the_speed() -> None:
     per = per_acceleration(15.0)
-    expected = Bounds(0.3, 4.5 * per, 0.75, 25.0 * per, 0.25)
+    expected = GuardBounds(0.3, 4.5 * per, 0.75, 25.0 * per, 0.25)
     assert bounds(LIMITS_BY_SPEED, CHASSIS, 15.0) == pytest.approx(expected, rel=1e-12)
     assert bounds(LIMITS_BY_SPEED, CHASSIS, -15.0) == bounds(LIMITS_BY_SPEED, CHASSIS, 15.0)
 
@@ -275,7 +275,7 @@ def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: fl
     wavy = replace(LIMITS_BY_SPEED, max_angle=(0.5, 0.1, 0.3), lateral_jerk=(9.0, 20.0, 30.0))
     strict = bounds(wavy, CHASSIS, v_x)
     per = per_acceleration(MAX_SPEED)
-    assert strict == pytest.approx(Bounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
+    assert strict == pytest.approx(GuardBounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
     for speed in (0.0, 5.0, 10.0, 20.0, 50.0, MAX_SPEED):
         assert all(a <= b for a, b in zip(strict, bounds(wavy, CHASSIS, speed), strict=True))
 
@@ -288,7 +288,7 @@ def test_the_guard_shares_no_code_with_the_controllers() -> None:
 
 
 def test_the_constants_are_what_the_documents_say() -> None:
-    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_SPEED, MAX_MEASURED)
+    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_LIMITED_SPEED, MAX_MEASURED)
     assert (LONGEST_PAUSE, SHORTEST) == (2.0, 0.5)
 
 

@@ -94,7 +94,7 @@ def test_the_warm_up_meets_every_mode_active_rows_and_both_kinds_of_path() -> No
     for points in (warm_up.STRAIGHT, warm_up.CIRCLE):
         path = make_path(points)
         controller.reset()
-        for tick, values in enumerate(warm_up.STATES):
+        for tick, values in enumerate(warm_up.WARM_UP_STATES):
             state = VehicleState(tick * NANOSECONDS // 10, *values)
             diagnosis = controller.step(state, path).diagnosis
             met |= {MODES[int(diagnosis.mode)], ("closed", path.closed)}

@@ -1,5 +1,6 @@
 """What the nodes report: every level, in sentences and with numbers, at once where it changes."""
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
@@ -70,7 +71,7 @@ def test_the_controller_reports_every_level_with_its_reason(
     node.on_path(message)
     level, said = world.at(3.5, node, odom=False)
     assert level == WARN
-    assert said.startswith("steering by shifted_plan, because of state_late")
+    assert re.search("shifted_plan, .*state_late", said)
     level, said = world.at(3.8, node, odom=False)
     assert level == STALE
     assert said.startswith("odom is 0.6 s old: a stop is requested")
@@ -85,7 +86,7 @@ def test_a_stop_that_was_requested_is_reported_until_it_is_taken_back(
     world.at(0.7, node, odom=False)
     assert node.supervisor.stop_requested
     level, said = world.at(0.8, node)
-    assert (level, "a stop has been requested" in said) == (WARN, True)
+    assert (level, "~/reset_stop" in said) == (WARN, True)
     node.supervisor.clear_stop()
     assert world.at(0.9, node) == (OK, "OK")
 
@@ -107,10 +108,10 @@ def test_a_controller_that_does_not_steer_reports_that() -> None:
     with ros_context(autostart="false", controller="pure_pursuit") as executor:
         node = ControllerNode()
         add(executor, node)
-        assert report_of(node).message == "unconfigured: no commands are given"
+        assert report_of(node).message == "unconfigured: no commands are published"
         node.trigger_configure()
         report = report_of(node)
-        assert (report.level[0], report.message) == (WARN, "inactive: no commands are given")
+        assert (report.level[0], report.message) == (WARN, "inactive: no commands are published")
 
 
 def test_an_odom_that_falls_silent_is_reported_at_once_and_logged_rung_by_rung(
@@ -132,11 +133,9 @@ def test_an_odom_that_falls_silent_is_reported_at_once_and_logged_rung_by_rung(
         assert [level for level, _ in heard[-2:]] == [WARN, STALE]
         driver.drive_for(3)
     said = [line.partition("]: ")[2] for line in capfd.readouterr().err.split("\n")]
-    assert said[-4:-1] == [
-        "steering by shifted_plan, because of state_late",
-        "a stop is requested, because of state_lost",
-        "steering by the controller's solution again",
-    ]
+    wanted = ("shifted_plan.*state_late", "stop is requested.*state_lost", "fallback ended")
+    for line, pattern in zip(said[-4:-1], wanted, strict=True):
+        assert re.search(pattern, line)
     assert last.stamp_ns < heard[-1][1]
 
 

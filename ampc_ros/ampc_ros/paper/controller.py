@@ -7,7 +7,7 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
 from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
-from ampc_ros.controller_interface import ControllerDefaults
+from ampc_ros.controller_interface import Controller
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
@@ -17,7 +17,7 @@ from ampc_ros.paper.tick import INDEX, KNOWN, STEERING, new_memory, paper_answer
 Array = NDArray[np.float64]
 
 
-class LateralMpc(ControllerDefaults):
+class LateralMpc(Controller):
     """Adaptive MPC of the paper; with a nominal speed set, the classic MPC it is compared with."""
 
     formulation = "paper"

@@ -7,7 +7,7 @@ import numpy as np
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Array, Path
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
-from ampc_ros.controller_interface import Controller, ControllerDefaults, Estimates
+from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, believed, internal_model_row
 from ampc_ros.mpc.programme import scratch_numbers
@@ -28,7 +28,7 @@ from ampc_ros.preview.tick import (
 )
 
 
-class PreviewMpc(ControllerDefaults):
+class PreviewMpc(Controller):
     """Adaptive MPC in path coordinates, the default."""
 
     formulation = "preview"

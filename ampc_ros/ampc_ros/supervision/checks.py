@@ -16,8 +16,8 @@ from ampc_ros.supervision.plausibility import (
     WINDOW,
     Rejection,
     Track,
-    seconds,
-    seconds_between,
+    stamp_difference,
+    time_between,
     unusable,
 )
 
@@ -109,15 +109,15 @@ class StateFilter:
         if rejection.cause == "out_of_order":
             return False
         candidate = self._extend_candidate(state, now_ns)
-        lasted = seconds_between(candidate.first_ns, candidate.last.stamp_ns)
-        if back and seconds_between(self.candidate_ns, now_ns) < PACE * lasted:
+        lasted = stamp_difference(candidate.first_ns, candidate.last.stamp_ns)
+        if back and stamp_difference(self.candidate_ns, now_ns) < PACE * lasted:
             return False
         return lasted >= WINDOW or (back and candidate.count >= CONFIRMED)
 
     def _silent_before(self, state: VehicleState) -> bool:
         """Return whether no state, accepted or rejected, came for longer than WINDOW."""
         tracks = (self.track, self.candidate)
-        return all(seconds(track.last, state) > WINDOW for track in tracks if track)
+        return all(time_between(track.last, state) > WINDOW for track in tracks if track)
 
     def _extend_candidate(self, state: VehicleState, now_ns: int) -> Track:
         """Add a state to the candidate if consistent; if it contradicts, start another one."""

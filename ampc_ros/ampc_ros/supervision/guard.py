@@ -17,7 +17,7 @@ NONE, NOT_FINITE, ANGLE, LATERAL_ACCELERATION, RATE, LATERAL_JERK, MEASURED_STEP
 )
 MAX_SPEED = 100.0
 """A larger speed is a broken measurement [m/s]."""
-MIN_SPEED = 0.1
+MIN_LIMITED_SPEED = 0.1
 """Below this speed no angle causes a lateral acceleration worth a limit [m/s]."""
 MAX_MEASURED = math.pi / 2
 """A larger measured road-wheel angle is a broken measurement [rad]."""
@@ -38,7 +38,7 @@ class GuardResult(NamedTuple):
     """Index in LIMITS of the first limit that clipped the command."""
 
 
-class Bounds(NamedTuple):
+class GuardBounds(NamedTuple):
     """Limits at one speed, as angles and rates of the road wheel."""
 
     angle: float
@@ -53,7 +53,7 @@ class Bounds(NamedTuple):
     """Largest distance from the measured angle [rad]."""
 
 
-def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> Bounds:
+def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> GuardBounds:
     """Return the limits at a speed [m/s]; for an impossible speed the strictest of all speeds.
 
     On a steady circle a_y = v^2 kappa = v^2 delta / (L + K_us v^2).
@@ -67,7 +67,7 @@ def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> Bound
     """
     v = abs(v_x)
     if v <= MAX_SPEED:
-        v = max(v, MIN_SPEED)
+        v = max(v, MIN_LIMITED_SPEED)
         angle, rate, acceleration, jerk, step = (
             interpolate_linear(limits.speed, row, v) for row in rows(limits)
         )
@@ -76,7 +76,7 @@ def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> Bound
         angle, rate, acceleration, jerk, step = (min(row) for row in rows(limits))
     L, K_us = chassis.wheelbase, chassis.understeer_gradient
     per_acceleration = max(L + K_us * v * v, SHORTEST * L) / (v * v)  # rad per m/s^2
-    return Bounds(angle, acceleration * per_acceleration, rate, jerk * per_acceleration, step)
+    return GuardBounds(angle, acceleration * per_acceleration, rate, jerk * per_acceleration, step)
 
 
 def rows(limits: GuardLimits) -> tuple[tuple[float, ...], ...]:

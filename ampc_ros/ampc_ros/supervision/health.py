@@ -42,13 +42,43 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         return Health(STALE, "waiting for odom")
     if supervisor.path is None:
         return Health(WARN, "waiting for reference_path")
-    silence = max(supervisor.state.ages(now_ns))
-    if silence > supervisor.config.settings.state_lost:
+    silence, config = max(supervisor.state.ages(now_ns)), supervisor.config
+    if silence > config.settings.state_lost:
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
-    conditions = [_path_health(supervisor, now_ns)]
+    conditions = [Health()]
+
+    # The path is too old.
+    age = max(supervisor.path.ages(now_ns))
+    if not config.static_path and age > config.settings.path_lost:
+        text = "a stop is requested; a path that is published once needs static_path = true"
+        conditions.append(Health(ERROR, f"reference_path is {age:.1f} s old: {text}"))
+    elif not config.static_path and age > config.settings.path_late:
+        conditions.append(Health(WARN, f"reference_path is {age:.1f} s old"))
+
+    # The command comes from a fallback, or was clipped, or the mode is not normal.
     if record:
-        conditions += [_fallback_health(record), _guard_health(record), _mode_health(record)]
-        conditions += [_table_health(supervisor, record)]
+        command, diagnosis = record.command, record.command.diagnosis
+        if command.rung != OPTIMAL:
+            stop = ": a stop is requested" if command.rung == STOP else ""
+            text = f"steering by {RUNGS[command.rung]}, reason: {REASONS[command.reason]}{stop}"
+            level = ERROR if command.rung >= FEED_FORWARD else WARN
+            conditions.append(Health(level, f"fallback: {text}"))
+        if command.clipped:
+            text = f"the guard clips the command: {LIMITS[command.clipped]}"
+            conditions.append(Health(WARN, text))
+        if diagnosis.mode > STANDSTILL:
+            conditions.append(Health(WARN, MODES[int(diagnosis.mode)]))
+
+        # The speed, or the lateral reference, lies outside the gain table.
+        axis, v_x = config.gains.get("speed", []), supervisor.state.value.v_x
+        if diagnosis.outside_table and len(axis) > 1:
+            off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
+            text = "lateral reference outside the gain table"
+            if off > 0:
+                text = f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, valid from "
+                text += f"{axis[0]:g} to {axis[-1]:g} m/s"
+            conditions.append(Health(WARN, f"{text}: nearest edge in use"))
+
     if supervisor.stop_requested:
         text = "a stop is requested; the service ~/reset_stop takes it back"
         conditions.append(Health(WARN, text))
@@ -92,56 +122,6 @@ def describe_change(before: Condition, now: Condition) -> str:
     if now.rung < SHIFTED_PLAN:
         return "fallback ended: steering by the solution of the controller"
     return f"fallback: steering by {RUNGS[int(now.rung)]}, reason: {reason}"
-
-
-def _path_health(supervisor: Supervisor, now_ns: int) -> Health:
-    assert supervisor.path is not None
-    age, settings = max(supervisor.path.ages(now_ns)), supervisor.config.settings
-    if supervisor.config.static_path or age <= settings.path_late:
-        return Health()
-    if age <= settings.path_lost:
-        return Health(WARN, f"reference_path is {age:.1f} s old")
-    return Health(
-        ERROR,
-        f"reference_path is {age:.1f} s old: a stop is requested; a path that is published once "
-        "needs the parameter static_path = true",
-    )
-
-
-def _fallback_health(record: TickRecord) -> Health:
-    rung, reason = int(record.command.rung), REASONS[int(record.command.reason)]
-    if rung == OPTIMAL:
-        return Health()
-    level = ERROR if rung >= FEED_FORWARD else WARN
-    stop = ": a stop is requested" if rung == STOP else ""
-    return Health(level, f"fallback: steering by {RUNGS[rung]}, reason: {reason}{stop}")
-
-
-def _guard_health(record: TickRecord) -> Health:
-    limit = int(record.command.clipped)
-    return Health(WARN, f"the guard clips the command: {LIMITS[limit]}") if limit else Health()
-
-
-def _mode_health(record: TickRecord) -> Health:
-    mode = int(record.command.plan.diagnosis.mode)
-    return Health(WARN, MODES[mode]) if mode > STANDSTILL else Health()
-
-
-def _table_health(supervisor: Supervisor, record: TickRecord) -> Health:
-    """Return by how much the speed lies outside the gain table."""
-    axis = supervisor.config.gains.get("speed", [])
-    if not record.command.plan.diagnosis.outside_table or len(axis) < 2:
-        return Health()
-    assert supervisor.state is not None
-    v_x = supervisor.state.value.v_x
-    off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
-    if off <= 0:
-        return Health(WARN, "lateral reference outside the gain table: nearest edge in use")
-    return Health(
-        WARN,
-        f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, valid from {axis[0]:g} to "
-        f"{axis[-1]:g} m/s: nearest edge in use",
-    )
 
 
 def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[str, float]:

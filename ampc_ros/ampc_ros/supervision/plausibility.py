@@ -61,7 +61,7 @@ class Rejection(NamedTuple):
     """A sentence with name, value and bound."""
 
 
-class Sample(NamedTuple):
+class WindowSample(NamedTuple):
     """A state, and the twist integrated from the first state of the window to it."""
 
     state: VehicleState
@@ -79,8 +79,8 @@ class Track:
     def __init__(self, state: VehicleState) -> None:
         """Begin with one state."""
         self.first_ns, self.count = state.stamp_ns, 1
-        self.window = deque([Sample(state)], MOST_STATES)
-        self._integrated: Sample | None = None
+        self.window = deque([WindowSample(state)], MOST_STATES)
+        self._integrated: WindowSample | None = None
 
     @property
     def last(self) -> VehicleState:
@@ -89,13 +89,13 @@ class Track:
 
     def append(self, state: VehicleState) -> None:
         """Add a consistent state; after a gap the integration starts again."""
-        if seconds(self.last, state) > WINDOW:
+        if time_between(self.last, state) > WINDOW:
             self.window.clear()
-            self.window.append(Sample(state))
+            self.window.append(WindowSample(state))
         else:
             self.window.append(self._integrate(state))
         self._integrated = None
-        while len(self.window) > 1 and seconds(self.window[1].state, state) >= WINDOW:
+        while len(self.window) > 1 and time_between(self.window[1].state, state) >= WINDOW:
             self.window.popleft()
         self.count += 1
 
@@ -106,7 +106,7 @@ class Track:
             state: New state.
             silent: No state arrived for so long that the twist in between is unknown.
         """
-        dt = seconds(self.last, state)
+        dt = time_between(self.last, state)
         if dt == 0.0:
             return Rejection("duplicate", f"odom: stamp {state.stamp_ns} ns has been here before")
         if dt < 0.0:
@@ -128,14 +128,14 @@ class Track:
             f"{since:.3g} s, must be at most {most:.3g} m",
         )
 
-    def _integrate(self, state: VehicleState) -> Sample:
+    def _integrate(self, state: VehicleState) -> WindowSample:
         """Integrate the twist from the last state to this one, once per state."""
         if self._integrated is None or self._integrated.state is not state:
             last, x, y, distance = self.window[-1]
-            dt = seconds(last, state)
+            dt = time_between(last, state)
             (a, b), (c, d) = velocity(last), velocity(state)
             dx, dy = (a + c) / 2 * dt, (b + d) / 2 * dt
-            self._integrated = Sample(state, x + dx, y + dy, distance + math.hypot(dx, dy))
+            self._integrated = WindowSample(state, x + dx, y + dy, distance + math.hypot(dx, dy))
         return self._integrated
 
     def _drift(self, state: VehicleState) -> tuple[float, float, float]:
@@ -146,22 +146,22 @@ class Track:
         """
         first = self.window[0]
         for sample in self.window:
-            if seconds(sample.state, state) < WINDOW:
+            if time_between(sample.state, state) < WINDOW:
                 break
             first = sample
         start, now = first.state, self._integrate(state)
         drift = math.hypot(
             state.x - start.x - (now.x - first.x), state.y - start.y - (now.y - first.y)
         )
-        return drift, now.distance - first.distance, seconds(start, state)
+        return drift, now.distance - first.distance, time_between(start, state)
 
 
-def seconds(earlier: VehicleState, later: VehicleState) -> float:
+def time_between(earlier: VehicleState, later: VehicleState) -> float:
     """Return the time from one state to another [s]."""
-    return seconds_between(earlier.stamp_ns, later.stamp_ns)
+    return stamp_difference(earlier.stamp_ns, later.stamp_ns)
 
 
-def seconds_between(earlier_ns: int, later_ns: int) -> float:
+def stamp_difference(earlier_ns: int, later_ns: int) -> float:
     """Return the time from one stamp to another [s]."""
     return (later_ns - earlier_ns) / NANOSECONDS
 
@@ -181,7 +181,7 @@ def unusable(state: VehicleState, now_ns: int) -> Rejection | None:
         if abs(value) > most:
             bounds = f"[{-most:g}, {most:g}] {unit}"
             return Rejection("implausible", f"odom: {name} = {value:g} must lie in {bounds}")
-    ahead = seconds_between(now_ns, state.stamp_ns)
+    ahead = stamp_difference(now_ns, state.stamp_ns)
     if now_ns > 0 and ahead > FUTURE:
         reason = f"odom: stamp is {ahead:.3g} s in the future, must be at most {FUTURE:g} s"
         return Rejection("in_the_future", reason)

@@ -11,7 +11,7 @@ from ampc_ros.supervision.supervisor import Supervisor
 
 STRAIGHT = [(0.0, 0.0), (200.0, 0.0)]
 CIRCLE = [(30.0 * math.sin(0.1 * i), 30.0 - 30.0 * math.cos(0.1 * i)) for i in range(63)]
-STATES = (
+WARM_UP_STATES = (
     (0.0, 0.1, 0.0, 9.0, 0.0, 0.0),
     (1.0, 0.1, 0.0, 9.0, 0.1, 0.01),
     (2.0, -6.0, 0.3, 35.0, -0.5, -0.2),
@@ -41,8 +41,8 @@ def warm_up(config: Configuration) -> None:
     period_ns = round(controller.period * NANOSECONDS)
     for path in (make_path(STRAIGHT), make_path(CIRCLE)):
         controller.reset()
-        for tick in range(2 * len(STATES)):
-            state = VehicleState(tick * period_ns, *STATES[tick % len(STATES)])
+        for tick in range(2 * len(WARM_UP_STATES)):
+            state = VehicleState(tick * period_ns, *WARM_UP_STATES[tick % len(WARM_UP_STATES)])
             with suppress(ValueError):  # the paper's formulation refuses to leave the path's end
                 controller.step(state, path)
             controller.observe_steering(controller.steering)
