@@ -198,8 +198,8 @@ def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
 def test_numbers_are_the_same_within_the_tolerance_and_nan_only_as_nan(
     a: float, b: float, tolerance: float, same: bool
 ) -> None:
-    assert is_same(a, b, tolerance) is same
-    assert is_same(b, a, tolerance) is same
+    assert bool(is_same(a, b, tolerance)) is same
+    assert bool(is_same(b, a, tolerance)) is same
 
 
 def test_a_run_with_a_custom_controller_needs_its_file(
@@ -249,7 +249,7 @@ def test_another_process_replays_the_same_bits(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "launch_scripts.replay", str(tmp_path / "bag")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "every command is the recorded one, bit for bit" in done.stdout
+    assert "every command equals the recorded one, bit for bit" in done.stdout
 
 
 def test_the_first_difference_is_shown_with_its_inputs(
