@@ -5,8 +5,9 @@ import time
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.scenarios.scenario import load_scenario
-from ampc_ros.configuration import CONTROLLERS, Choices
-from ampc_ros.controller import make_controller, warm_up
+from ampc_ros.configuration import CONTROLLERS, Choices, configuration
+from ampc_ros.controller import make_controller
+from ampc_ros.supervision.warm_up import warm_up
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 
@@ -17,9 +18,9 @@ def main() -> int:
     vehicle = load_vehicle(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)
     for name in CONTROLLERS:
-        controller = make_controller(Choices(controller=name))
-        warm_up(controller)
-        drive(Simulation(vehicle, scenario), controller)
+        choices = Choices(controller=name)
+        warm_up(configuration(choices))
+        drive(Simulation(vehicle, scenario), make_controller(choices))
     print(f"compiled in {time.monotonic() - begin:.0f} s")
     return 0
 

@@ -22,7 +22,7 @@ from ampc_msgs_config.recording import bag_writer as recording
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
 from launch_scripts.bags.bag import open_bag
 
 TICK_NS = NANOSECONDS // 10
@@ -71,7 +71,7 @@ def sample(name: str, stamp_ns: int) -> Any:
     if name == ros.TARGET_SPEED:
         return ros.speed_message(ros.Stamped(stamp_ns, 8.333))
     if name == ros.STEERING_COMMAND:
-        command = ros.steering_message(Command(stamp_ns, 0.1 + 1e-17, -0.5, Diagnosis()))
+        command = ros.steering_message(Plan(stamp_ns, 0.1 + 1e-17, -0.5, Diagnosis()))
         command.effort = [0.0]
         return command
     if name == ros.STEERING_STATE:

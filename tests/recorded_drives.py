@@ -9,9 +9,9 @@ from std_msgs.msg import String
 from ampc_msgs_config import ros
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
-from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.types import TickRecord, VehicleState
 from ampc_ros.configuration import to_yaml
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
 
 
 class Bag:
@@ -52,10 +52,10 @@ class Bag:
         self.add(f"/{ros.ODOM}", message)
         return ros.vehicle_state(message)
 
-    def decision(self, decision: Decision, commands: int, *, tick: bool = True) -> None:
+    def decision(self, record: TickRecord, commands: int, *, tick: bool = True) -> None:
         """Write a command and its tick record."""
-        command, supervision = decision
+        command = record.command
         self.add(f"/{ros.STEERING_COMMAND}", ros.steering_message(command))
-        values = (*command.diagnosis, 0.001, 0.0, *supervision, 0, 0, commands)
+        values = (*command.diagnosis, 0.001, 0.0, *record.quantities, 0, 0, commands)
         if tick:
             self.add(f"/{ros.TICK}", ros.tick_message(command.stamp_ns, values))

@@ -20,6 +20,7 @@ from ampc_msgs_config.types import (
     QUATERNION_LENGTH,
     Array,
     Command,
+    Plan,
     VehicleState,
 )
 
@@ -171,7 +172,7 @@ def target_speed(message: TwistStamped) -> Stamped:
     return Stamped(nanoseconds(message.header.stamp), speed)
 
 
-def steering_message(command: Command) -> JointState:
+def steering_message(command: Plan | Command) -> JointState:
     """Pack a command: position = angle [rad], velocity = rate [rad/s]."""
     return joint_message(command.stamp_ns, command.steering, command.steering_rate)
 

@@ -1,6 +1,6 @@
 """Names of topics, frames and published quantities; needs neither ROS nor compiled code."""
 
-from ampc_msgs_config.types import Diagnosis, Supervision
+from ampc_msgs_config.types import RECORD_QUANTITIES, Diagnosis
 
 ODOM = "odom"
 REFERENCE_PATH = "reference_path"
@@ -28,7 +28,7 @@ DEBUG_QUANTITIES = (*Diagnosis._fields, "solve_time", "timer_lateness")
 """Topics below `~/debug/` of the controller, one std_msgs/Float64 each."""
 ACCOUNT = ("rejected_inputs", "missed_ticks", "commands")
 """Counters since the controller was configured."""
-TICK_QUANTITIES = (*DEBUG_QUANTITIES, *Supervision._fields, *ACCOUNT)
+TICK_QUANTITIES = (*DEBUG_QUANTITIES, *RECORD_QUANTITIES, *ACCOUNT)
 """Names in `controller/tick`."""
 QUANTITIES = tuple(f"controller/debug/{name}" for name in DEBUG_QUANTITIES)
 CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "simulator", "planner"))

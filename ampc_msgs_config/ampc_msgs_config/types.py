@@ -51,7 +51,7 @@ MODES = (
 TRACKING, STANDSTILL, PATH_END, REVERSE, WRONG_WAY = range(len(MODES))
 
 RUNGS = ("optimal", "slack", "shifted_plan", "feed_forward", "stop")
-"""Fallbacks in their order, from the exact solution to the stop request."""
+"""The fallback chain, from the exact solution down to a request to stop."""
 OPTIMAL, SLACK, SHIFTED_PLAN, FEED_FORWARD, STOP = range(len(RUNGS))
 
 REASONS = (
@@ -66,7 +66,7 @@ REASONS = (
     "wrong_way",
     "driving_backwards",
 )
-"""Reasons for a fallback."""
+"""Why a command is not the optimal solution."""
 
 LIMITS = (
     "none",
@@ -122,8 +122,8 @@ class Diagnosis(NamedTuple):
     """1: speed or reference lies outside the grid of the gain table and is clamped."""
 
 
-class Command(NamedTuple):
-    """Steering command of a controller for one state."""
+class Plan(NamedTuple):
+    """Result of one step of a controller."""
 
     stamp_ns: int
     """Stamp of that state [ns]."""
@@ -134,42 +134,87 @@ class Command(NamedTuple):
     diagnosis: Diagnosis
     prediction: Array | None = None
     """(H, 2) predicted positions of the centre of gravity in `map` [m]."""
-    plan: Array | None = None
-    """(n,) planned angles at this and the following ticks [rad]."""
+    angles: Array | None = None
+    """(n,) planned angles of this and the following ticks [rad]."""
+
+    @property
+    def cross_track_error(self) -> float:
+        """Signed distance of the centre of gravity from the path, positive to its left [m]."""
+        return self.diagnosis.cross_track_error
+
+    @property
+    def status(self) -> str:
+        """Mode of the controller, or that the QP was not solved."""
+        return MODES[int(self.diagnosis.mode)] if self.diagnosis.converged else "QP not solved"
 
 
-class Supervision(NamedTuple):
-    """Supervision of one tick: its inputs, its fallback, and the command after the guard.
+class Command(NamedTuple):
+    """Steering command after fallback chain and guard, with its reasons."""
 
-    Together with the state of the command's stamp and the current path these are all inputs of a
-    tick, so that a recording can be repeated bit for bit.
+    stamp_ns: int
+    """Stamp of the newest accepted state [ns]."""
+    steering: float
+    """Commanded road-wheel angle [rad]."""
+    steering_rate: float
+    """Rate at which the angle is to be reached [rad/s]."""
+    planned_steering: float
+    """Angle chosen by the fallback chain, before the guard [rad]."""
+    rung: int
+    """Index in RUNGS."""
+    reason: int
+    """Index in REASONS."""
+    clipped: int
+    """Index in LIMITS."""
+    plan: Plan
+    """Newest result of the controller."""
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """Diagnosis of the controller."""
+        return self.plan.diagnosis
+
+
+class TickRecord(NamedTuple):
+    """A command and the inputs of its tick, as published on `controller/tick`.
+
+    Together with the state named by the command's stamp, and the path in use, these are all inputs
+    of a tick: a recording of them can be replayed bit for bit.
     """
 
-    steering: float
-    """Commanded angle [rad]."""
-    planned_steering: float
-    """Angle after the fallback, before the guard [rad]."""
-    rung: float
-    """Index in RUNGS."""
-    reason: float
-    """Index in REASONS."""
-    clipped: float
-    """Index in LIMITS."""
+    command: Command
     state_age: float
     """Time since the stamp of the state [s]."""
     state_silence: float
-    """Time since the state arrived [s]."""
+    """Time since the arrival of the state [s]."""
     path_age: float
     """Time since the stamp of the path [s]."""
     path_silence: float
-    """Time since the path arrived [s]."""
+    """Time since the arrival of the path [s]."""
     measured_steering: float
-    """Road-wheel angle that arrived since the last tick; nan: none [rad]."""
+    """Road-wheel angle measured since the last tick; nan: none [rad]."""
     stop_requested: float
-    """1: a stop is requested."""
+    """1 once a stop has been requested."""
     resets: float
-    """Number of resets because time or position jumped."""
+    """Number of restarts of the controller after a jump of time or position."""
     configuration: float
-    """Number of the current configuration."""
+    """Number of the configuration in use."""
     qp_fault: float
-    """1: a fault of the solver is injected for a test."""
+    """1 while the solver is made to fail by fault injection."""
+
+    @property
+    def quantities(self) -> tuple[float, ...]:
+        """Published numbers, in the order of RECORD_QUANTITIES."""
+        command = self.command
+        chosen = command.steering, command.planned_steering, command.rung
+        return (*chosen, command.reason, command.clipped, *self[1:])
+
+
+RECORD_QUANTITIES = (
+    "steering",
+    "planned_steering",
+    "rung",
+    "reason",
+    "clipped",
+    *TickRecord._fields[1:],
+)
+"""Names of `TickRecord.quantities` in `controller/tick`."""

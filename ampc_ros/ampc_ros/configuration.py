@@ -1,6 +1,6 @@
 """Serialisable configuration of a controller, complete enough to rebuild it exactly.
 
-As YAML text it is published on a latched topic, and so becomes part of every recording.
+It is published as YAML on a latched topic, and so is part of every recording.
 """
 
 from dataclasses import asdict, replace
@@ -15,7 +15,7 @@ from ampc_msgs_config.parameters import (
     SteeringParameters,
 )
 from ampc_msgs_config.scenarios.scenario_yaml import document, read_document
-from ampc_msgs_config.validation import Checked, choice, number
+from ampc_msgs_config.validation import Checked, number
 from ampc_ros.mpc.gain_table import gain_table, read_gain_table
 
 CONTROLLERS = {
@@ -25,32 +25,36 @@ CONTROLLERS = {
     "pure_pursuit": "geometric baseline on the rear axle",
 }
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
-"""Gains for any car; `default_table` returns tuned ones where they exist."""
+"""Gains for any car; `default_table` selects gains tuned for one car."""
 CLASSIC_SPEED = 9.0
-"""Speed of the classic MPC's model, that of the paper's Sc1 [m/s]."""
+"""Speed of the classic MPC's fixed model, that of the paper's Sc1 [m/s]."""
+FILE_SEPARATOR = ".py:"
+"""In the name of a custom controller, `FILE.py:CLASS`."""
 
 
 class Choices(NamedTuple):
-    """Selection of a user, by shipped names or files."""
+    """Choices of a user, by shipped names or files."""
 
     controller: str = "preview"
+    """One of CONTROLLERS, or `FILE.py:CLASS`."""
     vehicle: str = "paper"
     settings: str = "table3"
     gain_table: str = ""
     """Empty: see `default_table`."""
     guard: str = "road"
     base_link_to_cg: float | None = None
-    """Distance from the point of `odom` to the centre of gravity; None: from the rear axle [m]."""
+    """Distance from the point of `odom` forward to the centre of gravity [m]; None: rear axle."""
     static_path: bool = False
-    """Whether the path is published once and does not age."""
+    """The path is published once and stays valid until the next one."""
     simulated_time: bool = False
-    """Whether time that goes back means a simulated car that is at its start again."""
+    """Time that goes back means a simulated car at its start."""
 
 
 class Configuration(NamedTuple):
-    """Content of the selected files, checked."""
+    """Values of all choices, loaded and checked."""
 
-    controller: Annotated[str, choice(tuple(CONTROLLERS))]
+    controller: str
+    """One of CONTROLLERS, or `FILE.py:CLASS`."""
     chassis: ChassisParameters
     steering: SteeringParameters
     settings: ControllerSettings
@@ -64,7 +68,7 @@ class Configuration(NamedTuple):
 
     @property
     def max_angle(self) -> float:
-        """Largest angle that the controller may command [rad]."""
+        """Largest angle of controller and steering [rad]."""
         return min(self.settings.max_angle, self.steering.max_angle)
 
 
@@ -78,19 +82,19 @@ PARTS: dict[str, type[Checked]] = {
 
 
 def default_table(controller: str, vehicle: str) -> str:
-    """Return the shipped gains for a vehicle: `preview_paper` if tuned for it, else `preview`."""
+    """Return the name of the shipped gains, such as `preview_paper` if tuned for the vehicle."""
     name = DEFAULT_TABLES[controller]
     tuned = f"{name}_{vehicle}"
     return tuned if vehicle in shipped("vehicles") and tuned in shipped("gains") else name
 
 
 def configuration(choices: Choices) -> Configuration:
-    """Load the files of a selection.
+    """Load the choices of a user.
 
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
     """
-    check_controller(choices.controller)
+    controller = check_controller(choices.controller)
     vehicle = find("vehicles", choices.vehicle)
     chassis = load(ChassisParameters, vehicle, "chassis")
     settings = load(ControllerSettings, find("controllers", choices.settings))
@@ -98,7 +102,7 @@ def configuration(choices: Choices) -> Configuration:
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
     to_cg, gains = choices.base_link_to_cg, gain_file(choices)
     return Configuration(
-        choices.controller,
+        controller,
         chassis,
         load(SteeringParameters, vehicle, "steering"),
         settings,
@@ -110,14 +114,40 @@ def configuration(choices: Choices) -> Configuration:
     )
 
 
-def check_controller(name: str) -> None:
-    """Raise a ValueError unless there is a controller of this name."""
-    if name not in tuple(CONTROLLERS):
-        raise ValueError(f"controller = {name!r} must be one of {', '.join(CONTROLLERS)}")
+def check_controller(name: str) -> str:
+    """Return the name of a controller, that of a custom one with the absolute path of its file.
+
+    Raises:
+        ValueError: There is no controller of this name, or no such file.
+    """
+    check_controller_name(name)
+    file, separator, class_name = name.rpartition(FILE_SEPARATOR)
+    if not separator:
+        return name
+    path = Path(file + ".py").resolve()
+    if not path.is_file():
+        raise ValueError(f"controller = {name!r}: there is no file {path}")
+    return f"{path}:{class_name}"
+
+
+def check_controller_name(name: object) -> None:
+    """Raise a ValueError unless a name is one of CONTROLLERS or has the form `FILE.py:CLASS`."""
+    if name in tuple(CONTROLLERS) or is_custom(name):
+        return
+    names = ", ".join(CONTROLLERS)
+    raise ValueError(f"controller = {name!r} must be one of {names}, or FILE.py:CLASS")
+
+
+def is_custom(name: object) -> bool:
+    """Return whether a name has the form `FILE.py:CLASS` of a custom controller."""
+    if not isinstance(name, str):
+        return False
+    file, separator, class_name = name.rpartition(FILE_SEPARATOR)
+    return bool(file and separator) and class_name.isidentifier()
 
 
 def gain_file(choices: Choices) -> Path | None:
-    """Return the file of the gains, or None for a controller without gains."""
+    """Return the file of the gains; None for a controller without gains."""
     if choices.controller not in DEFAULT_TABLES:
         return None
     name = choices.gain_table or default_table(choices.controller, choices.vehicle)
@@ -125,28 +155,32 @@ def gain_file(choices: Choices) -> Path | None:
 
 
 def to_yaml(config: Configuration, number: int) -> str:
-    """Write a configuration as text that `from_yaml` reads back, number for number.
+    """Return a configuration as YAML that `from_yaml` reads back without loss.
 
     Args:
-        config: Configuration.
-        number: Count of the configurations of a run; each tick publishes the one that it used.
+        config: Configuration to write.
+        number: Number of the configuration in its run; each tick refers to it.
     """
     items = config._asdict().items()
     return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
 
 
 def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
-    """Read a configuration and its number.
+    """Read a configuration and its number from YAML.
 
     Args:
-        text: Text that `to_yaml` wrote.
-        where: Source of the text, for the message.
+        text: Text of `to_yaml`.
+        where: Origin of the text, for the error message.
 
     Raises:
         ValueError: Source, key, value and bound.
     """
     content, number = read_document(text, where)
     config = build(Configuration, content, where)
+    try:
+        check_controller_name(config.controller)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
     if config.gains:
         gain_table(config.gains, where, "gains")
     return config, number

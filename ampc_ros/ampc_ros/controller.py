@@ -1,65 +1,39 @@
-"""Controllers by name, behind one `step()`."""
+"""Controllers by name, or by a file of the user, behind one interface."""
 
+import importlib.util
+import inspect
 import math
-from contextlib import suppress
-from typing import Protocol
+import sys
+from pathlib import Path as File
+from typing import Any
 
-from ampc_msgs_config.paths.path import Path
-from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
-from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
+from ampc_msgs_config.frames import at_distance
+from ampc_msgs_config.paths.path import Path, Progress
+from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
+from ampc_msgs_config.validation import check_range
+from ampc_ros.configuration import (
+    FILE_SEPARATOR,
+    Choices,
+    Configuration,
+    check_controller,
+    configuration,
+    gain_file,
+    is_custom,
+)
+from ampc_ros.controller_interface import Controller
 from ampc_ros.mpc.gain_table import gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 
-STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
-CIRCLE = [(30.0 * math.sin(0.1 * i), 30.0 - 30.0 * math.cos(0.1 * i)) for i in range(63)]
-REHEARSAL = (
-    (0.0, 0.1, 0.0, 9.0, 0.0, 0.0),
-    (1.0, 0.1, 0.0, 9.0, 0.1, 0.01),
-    (2.0, -6.0, 0.3, 35.0, -0.5, -0.2),
-    (3.0, 6.0, -0.3, 2.0, 0.5, 0.2),
-    (60.0, 0.1, 0.0, 9.0, 0.0, 0.0),
-    (0.0, 500.0, 0.0, 9.0, 0.0, 0.0),
-    (0.0, 0.1, math.pi, 9.0, 0.0, 0.0),
-    (0.0, 0.1, 0.0, 0.0, 0.0, 0.0),
-    (0.0, 0.1, 0.0, -1.0, 0.0, 0.0),
-)
-"""States to warm up with: x, y, yaw, v_x, v_y, yaw rate."""
-
-
-class Controller(Protocol):
-    """What every controller offers: one command for one state, and a fresh start."""
-
-    period: float
-    """Time from one step to the next [s]."""
-
-    @property
-    def steering(self) -> float:
-        """Angle commanded last [rad]."""
-
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer a state at `base_link`."""
-
-    def check(self, path: Path) -> None:
-        """Refuse, with a ValueError, a path on which `step` would."""
-
-    def take_over(self, steering: float, *, stepped: bool) -> None:
-        """Go on from an angle that was commanded by somebody else, a guard or a fall-back.
-
-        Args:
-            steering: In force now [rad].
-            stepped: Whether it came in place of what the last step answered, or in a tick that
-                had no step.
-        """
-
-    def reset(self, steering: float = 0.0) -> None:
-        """Forget all earlier steps; the angle in force is given [rad]."""
+PERIOD_BOUNDS = {"low": 0.001, "high": 1.0, "unit": "s"}
+"""Bounds of the period of a custom controller, those of `sample_time`."""
+CUSTOM_ARGUMENTS = ("chassis", "steering", "settings", "base_link_to_cg")
+"""Arguments that the class of a custom controller may have."""
 
 
 def make_controller(choices: Choices) -> Controller:
-    """Make the controller that a user chose.
+    """Build the controller of a user's choices.
 
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
@@ -68,16 +42,19 @@ def make_controller(choices: Choices) -> Controller:
 
 
 def build_controller(config: Configuration, source: object = "gain table") -> Controller:
-    """Make the controller of a configuration.
+    """Build the controller of a configuration.
 
     Args:
-        config: What it is made of.
-        source: Of its gains, for the message.
+        config: Configuration of the controller.
+        source: Origin of its gains, for the error message.
 
     Raises:
-        ValueError: The gains make its problem numerically singular.
+        ValueError: The gains make its problem numerically singular, or a custom class is
+            unsuitable.
     """
     chassis, settings, to_cg = config.chassis, config.settings, config.base_link_to_cg
+    if is_custom(config.controller):
+        return load_custom_controller(config)
     if config.controller == "pure_pursuit":
         return PurePursuit(chassis, settings, to_cg)
     try:
@@ -89,20 +66,101 @@ def build_controller(config: Configuration, source: object = "gain table") -> Co
         raise ValueError(f"{source}: {error}") from error
 
 
-def warm_up(controller: Controller) -> None:
-    """Go through all that a step can meet, so that nothing is compiled or loaded in a tick.
+class CustomController(Controller):
+    """Adapter of a user's class: every result is checked, an error holds the last angle."""
 
-    What numba compiles follows from the types of the arguments, which every branch here has; the
-    values decide the way through the rest: which bounds are active, whether the path is closed, at
-    its end, or lost, whether the car stands, drives backwards or the wrong way.
+    formulation = "custom"
+    steering = 0.0
+
+    def __init__(self, name: str, custom: Any, base_link_to_cg: float) -> None:
+        """Create the adapter at rest.
+
+        Args:
+            name: `FILE.py:CLASS`, for messages.
+            custom: Object with `period` and `step(state, path)`.
+            base_link_to_cg: Distance from the point of `odom` forward to the centre of gravity [m].
+
+        Raises:
+            ValueError: It has no `step`, or no `period` within PERIOD_BOUNDS.
+        """
+        if not callable(getattr(custom, "step", None)):
+            raise ValueError(f"controller = {name!r}: the class has no method step(state, path)")
+        period: Any = getattr(custom, "period", None)
+        check_range(f"controller = {name!r}: period", period, PERIOD_BOUNDS)
+        self.name, self.custom, self.to_cg = name, custom, base_link_to_cg
+        self.period = float(period)
+        self.reset()
+
+    def reset(self, steering: float = 0.0) -> None:
+        """Forget the path, call the user's `reset()` if any; `steering` is in force [rad]."""
+        self.steering, self.failure = steering, ""
+        self.path: Path | None = None
+        if callable(getattr(self.custom, "reset", None)):
+            try:
+                self.custom.reset()
+            except Exception as error:
+                self.failure = f"{self.name}: reset raised {type(error).__name__}: {error}"
+
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Compute the plan for a state at `base_link`; an error counts as 'not solved'."""
+        if path is not self.path:
+            self.path, self.progress = path, Progress(path)
+        errors = self.progress.errors(at_distance(state, self.to_cg))
+        plan = Plan(state.stamp_ns, self.steering, 0.0, Diagnosis(*errors))
+        try:
+            result = self.custom.step(state, path)
+            angle = float(getattr(result, "steering", result))
+            if not math.isfinite(angle):
+                raise ValueError(f"the angle {angle} is not finite")
+        except Exception as error:
+            text = " ".join(str(error).split())
+            self.failure = f"{self.name}: step failed: {type(error).__name__}: {text}"
+            return plan._replace(diagnosis=plan.diagnosis._replace(converged=0.0))
+        self.failure = ""
+        rate, self.steering = (angle - self.steering) / self.period, angle
+        return plan._replace(steering=angle, steering_rate=rate)
+
+    def take_over(self, steering: float, *, stepped: bool) -> None:
+        """Continue from another angle in force; see `Controller`."""
+        self.steering = steering
+
+
+def load_custom_controller(config: Configuration) -> CustomController:
+    """Build the controller of a user's file; this executes the file.
+
+    The class gets those of CUSTOM_ARGUMENTS that its constructor has, as keyword arguments.
+
+    Raises:
+        ValueError: File or class is missing or unsuitable, in one line.
     """
-    for path in (make_path(STRAIGHT), make_path(CIRCLE)):
-        controller.reset()
-        for tick in range(2 * len(REHEARSAL)):
-            stamp_ns = round(tick * controller.period * NANOSECONDS)
-            state = VehicleState(stamp_ns, *REHEARSAL[tick % len(REHEARSAL)])
-            with suppress(ValueError):  # the paper's formulation refuses to drive away from the end
-                controller.step(state, path)
-            if isinstance(controller, PreviewMpc):
-                controller.observe_steering(controller.steering)
-    controller.reset()
+    name = check_controller(config.controller)
+    file, _, class_name = name.rpartition(FILE_SEPARATOR)
+    try:
+        custom_class = getattr(_import_file(File(file + ".py")), class_name, None)
+        if not isinstance(custom_class, type):
+            raise ValueError(f"the file has no class {class_name}")
+        parameters = inspect.signature(custom_class).parameters.values()
+        arguments = {each.name for each in parameters if each.kind is not each.VAR_KEYWORD}
+        if any(each.kind is each.VAR_KEYWORD for each in parameters):
+            arguments |= set(CUSTOM_ARGUMENTS)
+        values = {key: getattr(config, key) for key in CUSTOM_ARGUMENTS if key in arguments}
+        custom = custom_class(**values)
+    except Exception as error:
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        text = " ".join(str(error).split())
+        raise ValueError(f"controller = {name!r}: {kind}{text}") from error
+    return CustomController(name, custom, config.base_link_to_cg)
+
+
+def _import_file(file: File) -> Any:
+    """Execute a Python file as a module; its own folder is on the path for its imports."""
+    spec = importlib.util.spec_from_file_location(f"custom_controller_{file.stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # for dataclasses
+    sys.path.insert(0, str(file.parent))
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(file.parent))
+    return module

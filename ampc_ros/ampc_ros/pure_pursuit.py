@@ -5,11 +5,15 @@ import math
 from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path, Progress, point_at
-from ampc_msgs_config.types import Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
+from ampc_ros.controller_interface import Controller
 
 
-class PurePursuit:
+class PurePursuit(Controller):
     """Pure pursuit (Coulter 1992) with a look-ahead distance proportional to speed."""
+
+    formulation = "pure_pursuit"
+    steering = 0.0
 
     def __init__(
         self,
@@ -17,19 +21,19 @@ class PurePursuit:
         settings: ControllerSettings,
         base_link_to_cg: float | None = None,
     ) -> None:
-        """Make a controller at rest; see `LateralMpc` for the arguments."""
+        """Create a controller at rest; see `LateralMpc` for the arguments."""
         self.chassis, self.settings = chassis, settings
         self.period = settings.sample_time
         self.to_cg = chassis.cg_to_rear_axle if base_link_to_cg is None else base_link_to_cg
         self.reset()
 
     def reset(self, steering: float = 0.0) -> None:
-        """Forget the path; the angle in force is given [rad]."""
+        """Forget the path; `steering` is the angle in force [rad]."""
         self.steering = steering
         self.path: Path | None = None
 
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Answer one state at `base_link`: look ahead, aim, steer."""
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Compute the angle for a state at `base_link`."""
         if path is not self.path:
             self.path, self.rear, self.centre = path, Progress(path), Progress(path)
         centre = at_distance(state, self.to_cg)
@@ -37,13 +41,10 @@ class PurePursuit:
         before, bound = self.steering, self.settings.max_angle
         self.steering = min(max(self._aim(rear), -bound), bound)
         rate = (self.steering - before) / self.period
-        return Command(state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre)))
-
-    def check(self, path: Path) -> None:
-        """Take any path."""
+        return Plan(state.stamp_ns, self.steering, rate, Diagnosis(*self.centre.errors(centre)))
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
-        """Go on from an angle that was commanded by somebody else; see `Controller`."""
+        """Continue from another angle in force; see `Controller`."""
         self.steering = steering
 
     def _aim(self, rear: VehicleState) -> float:

@@ -1,4 +1,4 @@
-"""What the controller publishes: commands, how they came about, what it is made of, a stop."""
+"""Publishers of the controller: command, tick record, configuration, request to stop."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -10,19 +10,20 @@ from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
+from ampc_msgs_config.types import TickRecord
 from ampc_ros.configuration import to_yaml
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
 
 
 class Outputs:
     """The publishers of a controller."""
 
     def __init__(self, node: Node, *, lock_step: bool) -> None:
-        """Announce all topics.
+        """Create all publishers.
 
         Args:
             node: Owner.
-            lock_step: A drive is faster than real time, and is to be recorded whole.
+            lock_step: The drive is faster than real time, and is to be recorded completely.
         """
         self.node = node
         qos = ros.RELIABLE if lock_step else ros.COMMAND
@@ -35,53 +36,53 @@ class Outputs:
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.stops = publish(Bool, ros.STOP_REQUEST, ros.LATCHED)
         self.newest: JointState | None = None
-        self.stop_told: bool | None = None
+        self.published_stop: bool | None = None
 
     def destroy(self) -> None:
-        """Leave all topics."""
-        told = self.commands, self.ticks, self.predictions, self.configurations, self.stops
-        for each in (*self.debug, *told):
+        """Destroy all publishers."""
+        others = self.commands, self.ticks, self.predictions, self.configurations, self.stops
+        for each in (*self.debug, *others):
             self.node.destroy_publisher(each)
 
-    def configuration(self, supervisor: Supervisor) -> None:
-        """Say what the controller is made of."""
+    def publish_configuration(self, supervisor: Supervisor) -> None:
+        """Publish the configuration of the controller."""
         self.configurations.publish(String(data=to_yaml(supervisor.config, supervisor.number)))
 
-    def decision(
-        self, decision: Decision, timing: Sequence[float], account: Sequence[float]
+    def publish_tick(
+        self, record: TickRecord, timing: Sequence[float], account: Sequence[float]
     ) -> None:
-        """Publish a command and what is to be said about it.
+        """Publish a command and its tick record.
 
         Args:
-            decision: Of this tick.
+            record: Record of this tick.
             timing: Solve time and lateness of the timer [s].
             account: Numbers of ACCOUNT.
         """
-        command, supervision = decision
+        command, plan = record.command, record.command.plan
         self.newest = ros.steering_message(command)
         self.commands.publish(self.newest)
-        values = (*command.diagnosis, *timing)
-        everything = (*values, *supervision, *account)
-        self.ticks.publish(ros.tick_message(command.stamp_ns, everything))
+        values = (*plan.diagnosis, *timing)
+        quantities = (*values, *record.quantities, *account)
+        self.ticks.publish(ros.tick_message(command.stamp_ns, quantities))
         for publisher, value in zip(self.debug, values, strict=True):
             if publisher.get_subscription_count():
                 publisher.publish(Float64(data=float(value)))
-        if command.prediction is not None and self.predictions.get_subscription_count():
-            self.predictions.publish(ros.path_message(command.prediction, command.stamp_ns))
+        if plan.prediction is not None and self.predictions.get_subscription_count():
+            self.predictions.publish(ros.path_message(plan.prediction, command.stamp_ns))
 
-    def again(self) -> None:
+    def repeat(self) -> None:
         """Publish the newest command once more."""
         if self.newest is not None:
             self.commands.publish(self.newest)
 
     def hold(self) -> None:
-        """Publish the newest angle once more, to be held."""
+        """Publish the newest angle once more, with rate zero."""
         if self.newest is not None:
             self.newest.velocity = [0.0]
             self.commands.publish(self.newest)
 
-    def stop(self, requested: bool) -> None:
-        """Ask for a stop, or take that back; said once."""
-        if requested != self.stop_told:
+    def request_stop(self, requested: bool) -> None:
+        """Request a stop, or take the request back; only a change is published."""
+        if requested != self.published_stop:
             self.stops.publish(Bool(data=requested))
-            self.stop_told = requested
+            self.published_stop = requested

@@ -1,8 +1,8 @@
-"""Starts simulator, planner, controller and markers, and a recording on request.
+"""Start simulator, planner, controller and markers, and a recorder on request.
 
 ``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 output:=runs/sc2`` drives a scenario in
-lock-step. On a real car, ``simulate:=false lock_step:=false`` leaves the simulator out. Topics
-stay on this machine; ``ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET ros2 launch ...`` shares them.
+lock-step. On a real car, use ``simulate:=false lock_step:=false``. Topics stay on this machine
+unless the environment variable is set: ``ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET ros2 launch ...``.
 """
 
 from launch import LaunchDescription
@@ -27,34 +27,36 @@ from ampc_msgs_config.config import shipped
 
 
 def file_or(folder: str) -> str:
-    """The words for an argument that takes a shipped name or a file."""
+    """Return the description of an argument that takes a shipped name or a file."""
     return f"YAML file, or one of {', '.join(shipped(folder))}"
 
 
 ARGUMENTS = {
     "scenario": ("sc1", file_or("scenarios")),
-    "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario"),
-    "speed": ("-1.0", "constant speed instead of the given one [m/s]; -1: as given"),
-    "lateral_acceleration": ("-1.0", "largest along the CSV's path [m/s2]; -1: as given"),
-    "laps": ("1", "of a CSV's closed path"),
+    "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead of a scenario"),
+    "speed": ("-1.0", "constant speed [m/s]; -1: that of scenario or CSV"),
+    "lateral_acceleration": (
+        "-1.0",
+        "largest one along the CSV's path [m/s2]; -1: speed of the CSV",
+    ),
+    "laps": ("1", "number of laps of a CSV's closed path"),
     "vehicle": ("paper", file_or("vehicles")),
-    "controller": ("preview", "who steers"),
-    "settings": ("table3", f"limits of the controller: {file_or('controllers')}"),
+    "controller": ("preview", "preview, paper, classic, pure_pursuit, or FILE.py:CLASS"),
+    "settings": ("table3", f"limits and solver: {file_or('controllers')}"),
     "gain_table": ("", f"gains: {file_or('gains')}; empty: the controller's own"),
     "guard": ("road", f"limits of every command: {file_or('guards')}"),
-    "static_path": ("true", "the path is published once, as the planner does, and does not age"),
-    "base_link_to_cg": ("-1.0", "from odom to the centre of gravity [m]; -1: rear axle"),
-    "friction": ("-1.0", "of the road; -1: that of the tyres"),
-    "noise": ("", f"of the measurement: {file_or('noise')}; empty: none"),
-    "seed": ("0", "of the noise"),
+    "static_path": ("true", "the path is published once and does not grow old"),
+    "base_link_to_cg": ("-1.0", "distance from odom to the centre of gravity [m]; -1: rear axle"),
+    "friction": ("-1.0", "friction of the road; -1: that of the tyres"),
+    "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
+    "seed": ("0", "seed of the noise"),
     "lock_step": ("true", "simulated time advances only when every state is answered"),
-    "time_out": ("10.0", "longest wait for a node's answer [s]"),
-    "start_time_out": ("180.0", "longest wait for all nodes, also while they compile [s]"),
-    "namespace": ("", "of the nodes and of their topics"),
-    "simulate": ("true", "start the simulator; false where a real car drives"),
+    "time_out": ("10.0", "timeout for a node's answer [s]"),
+    "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
+    "namespace": ("", "namespace of nodes and topics"),
+    "simulate": ("true", "start the simulator; false for a real car"),
     "output": ("", "new folder for a recording; empty: none"),
 }
-CHOICES = {"controller": ["preview", "paper", "classic", "pure_pursuit"]}
 FLOATS = (
     "speed",
     "lateral_acceleration",
@@ -80,11 +82,9 @@ CONTROL = (
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declares the arguments and starts the nodes; when one ends, but for markers, all end."""
+    """Declare the arguments and start the nodes; the end of one, except markers, ends all."""
     arguments = [
-        DeclareLaunchArgument(
-            name, default_value=value, description=text, choices=CHOICES.get(name)
-        )
+        DeclareLaunchArgument(name, default_value=value, description=text)
         for name, (value, text) in ARGUMENTS.items()
     ]
     simulated = IfCondition(LaunchConfiguration("simulate"))
@@ -109,18 +109,18 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def local_discovery() -> SetEnvironmentVariable:
-    """Topics stay on this machine, unless the shell says otherwise."""
+    """Keep topics on this machine unless the environment variable is set."""
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     return SetEnvironmentVariable(name, EnvironmentVariable(name, default_value="LOCALHOST"))
 
 
 def parameter(argument: str) -> ParameterValue:
-    """A launch argument as the value of a node's parameter."""
+    """Return a launch argument as the value of a node's parameter."""
     return ParameterValue(LaunchConfiguration(argument), value_type=TYPES.get(argument, str))
 
 
 def parameters(*names: str) -> dict[str, ParameterValue]:
-    """Launch arguments as parameters of the same names."""
+    """Return launch arguments as parameters of the same names."""
     return {name: parameter(name) for name in names}
 
 
@@ -130,7 +130,7 @@ def node(
     values: dict[str, ParameterValue],
     condition: IfCondition | None = None,
 ) -> Node:
-    """A node in the chosen namespace, its log on the screen."""
+    """Return a node in the chosen namespace with its log on the screen."""
     return Node(
         package=package,
         executable=executable,

@@ -12,7 +12,8 @@ from ampc_msgs_config.metrics import LOST, Drive, errors, evaluate, ticks
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices
-from ampc_ros.controller import Controller, make_controller
+from ampc_ros.controller import make_controller
+from ampc_ros.controller_interface import Controller
 from launch_scripts.run.simulated import SimulatedDrive
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.measurement import measured

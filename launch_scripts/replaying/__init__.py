@@ -1,1 +1,1 @@
-"""Repeating a recorded drive without ROS."""
+"""Replay of a recorded run without ROS."""

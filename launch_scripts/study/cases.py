@@ -10,7 +10,7 @@ from ampc_msgs_config.metrics import LOST, errors, evaluate
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario, speed_at
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, Plan, VehicleState
 from ampc_ros.configuration import default_table
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
@@ -121,7 +121,7 @@ class Recorded:
         self.reference_speed = reference_speed
         self.diagnosis: list[Diagnosis] = []
 
-    def step(self, state: VehicleState, path: Path) -> Command:
+    def step(self, state: VehicleState, path: Path) -> Plan | Command:
         """Answer a state."""
         if self.reference_speed:
             elapsed = len(self.diagnosis) * self.period

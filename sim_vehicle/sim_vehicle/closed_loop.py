@@ -10,7 +10,7 @@ from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, speed_at
 from ampc_msgs_config.scenarios.wind import wind_of_steps
-from ampc_msgs_config.types import NANOSECONDS, Command, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Command, Plan, VehicleState
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
 
@@ -25,8 +25,8 @@ class Steering(Protocol):
     def period(self) -> float:
         """Time from one step to the next [s]."""
 
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Return the command for a state at `base_link`."""
+    def step(self, state: VehicleState, path: Path) -> Plan | Command:
+        """Answer a state at `base_link`."""
 
 
 class Simulation:

@@ -4,11 +4,19 @@ import math
 
 import pytest
 
-from ampc_msgs_config.types import FEED_FORWARD, NANOSECONDS, OPTIMAL, REASONS, STOP, VehicleState
+from ampc_msgs_config.types import (
+    FEED_FORWARD,
+    NANOSECONDS,
+    OPTIMAL,
+    REASONS,
+    STOP,
+    TickRecord,
+    VehicleState,
+)
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.checks import PACE, StateFilter
-from ampc_ros.supervision.ladder import STOP_RATE
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.fallback import STOP_RATE
+from ampc_ros.supervision.supervisor import Supervisor
 
 MS = 1_000_000
 START_NS = 1000 * NANOSECONDS
@@ -108,7 +116,7 @@ def on_waves(time: float) -> VehicleState:
     return VehicleState(stamp_ns, x, 2.0 * math.sin(0.05 * x), yaw, V, 0.0, rate)
 
 
-def tick(supervisor: Supervisor, time: float, *, seeing: bool = True) -> Decision:
+def tick(supervisor: Supervisor, time: float, *, seeing: bool = True) -> TickRecord:
     """Let a tick pass."""
     now_ns = START_NS + round(time * NANOSECONDS)
     if seeing:
@@ -121,12 +129,12 @@ def tick(supervisor: Supervisor, time: float, *, seeing: bool = True) -> Decisio
 
 def test_blind_the_wheel_follows_what_is_left_of_the_last_plan_and_no_faster_than_it_may() -> None:
     supervisor = supervised()
-    plan = [tick(supervisor, 0.1 * i) for i in range(20)][-1].command.plan
+    plan = [tick(supervisor, 0.1 * i) for i in range(20)][-1].command.plan.angles
     assert plan is not None
     last = supervisor.steering
     for i in range(3, 25):  # as the node: at 2.0 and 2.1 s it waits for a state
         decision = tick(supervisor, 1.9 + 0.1 * i, seeing=False)
-        steering, told = decision.command.steering, decision.supervision
+        steering, told = decision.command.steering, decision.command
         assert abs(steering - last) <= (0.1 * STOP_RATE + 1e-12 if told.rung == STOP else 0.3)
         if abs(steering - last) < 0.1 * STOP_RATE - 1e-12:
             assert steering == pytest.approx(plan[min(i, len(plan) - 1)])
@@ -137,22 +145,22 @@ def test_blind_the_wheel_follows_what_is_left_of_the_last_plan_and_no_faster_tha
 
 def test_a_tick_that_nobody_answered_ages_the_plan_too() -> None:
     supervisor = supervised()
-    plan = [tick(supervisor, 0.1 * i) for i in range(20)][-1].command.plan
+    plan = [tick(supervisor, 0.1 * i) for i in range(20)][-1].command.plan.angles
     assert plan is not None
     late = tick(supervisor, 2.2, seeing=False)
-    assert late.supervision.planned_steering == plan[3]
+    assert late.command.planned_steering == plan[3]
 
 
 def test_after_the_feed_forward_or_a_refusal_no_older_plan_comes_back() -> None:
     supervisor = supervised()
     for i in range(10):
         tick(supervisor, 0.1 * i)
-    supervisor.ladder.qp_fault = True
+    supervisor.inject_qp_fault(True)
     for i in range(10, 20):
         newest = tick(supervisor, 0.1 * i)
-    assert newest.supervision.rung == FEED_FORWARD
+    assert newest.command.rung == FEED_FORWARD
     for i in range(20, 40):
         blind = tick(supervisor, 0.1 * i, seeing=False)
-    assert blind.command.steering == pytest.approx(newest.supervision.planned_steering)
-    supervisor.ladder.qp_fault = False
-    assert tick(supervisor, 4.0).supervision.rung == OPTIMAL
+    assert blind.command.steering == pytest.approx(newest.command.planned_steering)
+    supervisor.inject_qp_fault(False)
+    assert tick(supervisor, 4.0).command.rung == OPTIMAL

@@ -12,7 +12,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.supervision import plausibility as track
-from ampc_ros.supervision.checks import StateFilter, Verdict
+from ampc_ros.supervision.checks import StateCheck, StateFilter
 from ampc_ros.supervision.plausibility import CAUSES, WINDOW
 from sim_vehicle.measurement import Deviations, noisy
 from sim_vehicle.parameters import MeasurementNoise
@@ -20,7 +20,7 @@ from sim_vehicle.parameters import MeasurementNoise
 START_NS = 1_700_000_000_000_000_000
 TICK_NS = NANOSECONDS // 10
 MS = NANOSECONDS // 1000
-ACCEPTED = Verdict(True)
+ACCEPTED = StateCheck(True)
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 UP = math.inf
 
@@ -45,7 +45,7 @@ def mirrored(one: VehicleState) -> VehicleState:
     return one._replace(y=-one.y, yaw=-one.yaw, v_y=-one.v_y, yaw_rate=-one.yaw_rate)
 
 
-def arrive(filtered: StateFilter, one: VehicleState, late_ns: int = 0) -> Verdict:
+def arrive(filtered: StateFilter, one: VehicleState, late_ns: int = 0) -> StateCheck:
     """Let a state arrive some time after its stamp."""
     return filtered.accept(one, one.stamp_ns + late_ns)
 
@@ -377,10 +377,8 @@ def test_a_pose_may_differ_from_its_twist_by_half_a_metre_and_5_percent_of_the_w
             x = (v * 0.1 - drift / 5) * i
             verdict = arrive(filtered, state(0.1 * i, x=x, v_x=v))
         assert verdict.cause == expected
-    assert verdict.reason == (
-        f"odom: pose differs by {most:.3g} m from the twist added up over 0.5 s, "
-        f"must be at most {most:.3g} m"
-    )
+    assert f"differs by {most:.3g} m" in verdict.reason
+    assert f"at most {most:.3g} m" in verdict.reason
 
 
 @SIDES

@@ -17,7 +17,7 @@ from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import rotate
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, load_scenario
-from ampc_msgs_config.types import Command, VehicleState
+from ampc_msgs_config.types import Plan, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
@@ -146,8 +146,8 @@ class AtCentreOfGravity:
         """Create the controller by its name."""
         self.controller = make_controller(Choices(controller, base_link_to_cg=0.0))
 
-    def step(self, state: VehicleState, path: ReferencePath) -> Command:
-        """Return the command for a state that is moved to the centre of gravity."""
+    def step(self, state: VehicleState, path: ReferencePath) -> Plan:
+        """Answer a state of the rear axle, after moving it to the centre of gravity."""
         return self.controller.step(at_distance(state, TO_CG), path)
 
 

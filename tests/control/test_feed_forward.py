@@ -14,7 +14,7 @@ from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch
@@ -83,10 +83,10 @@ class Lonely:
         self.most = vehicle.steering.max_angle
         self.steers = FeedForward(vehicle.chassis, vehicle.chassis.cg_to_rear_axle)
 
-    def step(self, state: VehicleState, path: Path) -> Command:
+    def step(self, state: VehicleState, path: Path) -> Plan:
         """Answer one state."""
         angle = min(max(self.steers.steering(state, path), -self.most), self.most)
-        return Command(state.stamp_ns, angle, 0.0, Diagnosis())
+        return Plan(state.stamp_ns, angle, 0.0, Diagnosis())
 
 
 @cache

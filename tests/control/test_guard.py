@@ -21,14 +21,14 @@ from ampc_ros.supervision.guard import (
     LONGEST_PAUSE,
     MAX_MEASURED,
     MAX_SPEED,
-    MIN_SPEED,
+    MIN_LIMITED_SPEED,
     SHORTEST,
-    Bounds,
     Guard,
-    Guarded,
-    around,
+    GuardBounds,
+    GuardResult,
     bounds,
-    joined,
+    interpolate_linear,
+    measured_range,
 )
 
 many = settings(max_examples=300, deadline=None, derandomize=True)
@@ -146,7 +146,7 @@ def test_a_measured_angle_beyond_a_right_angle_is_not_believed(
     measured = math.nextafter(MAX_MEASURED, beyond) if beyond else MAX_MEASURED
     expected = (0.0, measured + 0.25) if side > 0 else (-measured - 0.25, 0.0)
     nothing = (-math.inf, math.inf)
-    assert around(side * measured, 0.25, 0.0) == (expected if believed else nothing)
+    assert measured_range(side * measured, 0.25, 0.0) == (expected if believed else nothing)
 
 
 @pytest.mark.parametrize("measured", [None, math.nan, math.inf, -math.inf, 1e300])
@@ -247,25 +247,25 @@ def test_the_wheel_can_always_be_turned_to_the_other_side(side: float, v_x: floa
     assert one.steering == -side * 0.001
 
 
-@pytest.mark.parametrize("v_x", [0.0, -0.0, 1e-3, MIN_SPEED, 5e-324])
+@pytest.mark.parametrize("v_x", [0.0, -0.0, 1e-3, MIN_LIMITED_SPEED, 5e-324])
 def test_at_standstill_only_angle_and_rate_limit(v_x: float) -> None:
     bound = bounds(LIMITS_BY_SPEED, CHASSIS, v_x)
     assert bound.angle == pytest.approx(0.6, abs=0.01)
     assert bound.acceleration > 100 * bound.angle
     assert bound.jerk > 100 * bound.rate
-    assert bound == bounds(LIMITS_BY_SPEED, CHASSIS, MIN_SPEED)
+    assert bound == bounds(LIMITS_BY_SPEED, CHASSIS, MIN_LIMITED_SPEED)
 
 
 def test_between_the_speeds_limits_are_linear_and_beyond_them_held() -> None:
     at, values = (2.0, 4.0, 8.0), (1.0, 3.0, -1.0)
     places = {1.0: 1.0, 2.0: 1.0, 2.5: 1.5, 4.0: 3.0, 5.0: 2.0, 7.0: 0.0, 8.0: -1.0, 9.0: -1.0}
-    assert {place: joined(at, values, place) for place in places} == places
-    assert joined((3.0,), (7.0,), 2.0) == joined((3.0,), (7.0,), 3.0) == 7.0
+    assert {place: interpolate_linear(at, values, place) for place in places} == places
+    assert interpolate_linear((3.0,), (7.0,), 2.0) == interpolate_linear((3.0,), (7.0,), 3.0) == 7.0
 
 
 def test_bounds_are_the_rows_of_the_limits_at_the_speed() -> None:
     per = per_acceleration(15.0)
-    expected = Bounds(0.3, 4.5 * per, 0.75, 25.0 * per, 0.25)
+    expected = GuardBounds(0.3, 4.5 * per, 0.75, 25.0 * per, 0.25)
     assert bounds(LIMITS_BY_SPEED, CHASSIS, 15.0) == pytest.approx(expected, rel=1e-12)
     assert bounds(LIMITS_BY_SPEED, CHASSIS, -15.0) == bounds(LIMITS_BY_SPEED, CHASSIS, 15.0)
 
@@ -275,7 +275,7 @@ def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: fl
     wavy = replace(LIMITS_BY_SPEED, max_angle=(0.5, 0.1, 0.3), lateral_jerk=(9.0, 20.0, 30.0))
     strict = bounds(wavy, CHASSIS, v_x)
     per = per_acceleration(MAX_SPEED)
-    assert strict == pytest.approx(Bounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
+    assert strict == pytest.approx(GuardBounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
     for speed in (0.0, 5.0, 10.0, 20.0, 50.0, MAX_SPEED):
         assert all(a <= b for a, b in zip(strict, bounds(wavy, CHASSIS, speed), strict=True))
 
@@ -288,7 +288,7 @@ def test_the_guard_shares_no_code_with_the_controllers() -> None:
 
 
 def test_the_constants_are_what_the_documents_say() -> None:
-    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_SPEED, MAX_MEASURED)
+    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_LIMITED_SPEED, MAX_MEASURED)
     assert (LONGEST_PAUSE, SHORTEST) == (2.0, 0.5)
 
 
@@ -305,7 +305,7 @@ def test_an_oversteering_car_is_credited_with_half_its_wheelbase(v: float) -> No
     length = max(L + K_us * v**2, SHORTEST * L)
     held = bounds(LIMITS_BY_SPEED, OVERSTEERING, v)
     assert held.jerk == pytest.approx(
-        joined((0.0, 10.0, 20.0), (40.0, 30.0, 20.0), v) * length / v**2
+        interpolate_linear((0.0, 10.0, 20.0), (40.0, 30.0, 20.0), v) * length / v**2
     )
     assert bounds(LIMITS_BY_SPEED, OVERSTEERING, 100.0).jerk == pytest.approx(
         20.0 * 0.5 * L / 100.0**2, rel=1e-12
@@ -410,7 +410,7 @@ def test_the_mirrored_guard_does_the_mirrored_same(
         there = None if measured is None else -measured
         out = left.step(angle, rate, v_x, measured, elapsed)
         mirrored = right.step(-angle, -rate, v_x, there, elapsed)
-        assert mirrored == Guarded(-out.steering, -out.steering_rate, out.limit)
+        assert mirrored == GuardResult(-out.steering, -out.steering_rate, out.limit)
     assert left.count == right.count
 
 

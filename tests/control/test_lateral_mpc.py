@@ -16,11 +16,12 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import Array, VehicleState
-from ampc_ros.configuration import CLASSIC_SPEED, CONTROLLERS, Choices
-from ampc_ros.controller import make_controller, warm_up
+from ampc_ros.configuration import CLASSIC_SPEED, CONTROLLERS, Choices, configuration
+from ampc_ros.controller import make_controller
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.tick import STEERING
+from ampc_ros.supervision.warm_up import warm_up
 from tests.filled import laguerre_sequence, lateral_dynamics
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
@@ -155,10 +156,10 @@ def test_plan_continues_from_the_angle_in_force_and_begins_with_the_command() ->
     mpc = controller()
     mpc.memory[STEERING] = 0.12
     command = mpc.step(state(0, left=-1.0), ROAD)
-    assert command.plan is not None
-    assert len(command.plan) == GENTLE.control_horizon
-    assert command.plan[0] == pytest.approx(command.steering, abs=1e-12)
-    increments = np.diff(command.plan, prepend=0.12)
+    assert command.angles is not None
+    assert len(command.angles) == GENTLE.control_horizon
+    assert command.angles[0] == pytest.approx(command.steering, abs=1e-12)
+    increments = np.diff(command.angles, prepend=0.12)
     assert np.abs(increments).max() <= SETTINGS.max_increment + 1e-9
     assert np.abs(increments).max() > 1e-3
 
@@ -269,10 +270,10 @@ def test_path_against_its_chord_is_refused_and_the_old_one_goes_on() -> None:
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("vehicle", ["paper", "ordinary"])
 def test_every_controller_warms_up_and_starts_afresh(name: str, vehicle: str) -> None:
-    one = make_controller(Choices(name, vehicle))
-    warm_up(one)
-    assert one.steering == 0.0
     first = state(0, left=0.3)
+    one = make_controller(Choices(name, vehicle))
+    warm_up(configuration(Choices(name, vehicle)))
+    assert one.steering == 0.0
     other = make_controller(Choices(name, vehicle))
     assert one.step(first, ROAD).steering == other.step(first, ROAD).steering
 

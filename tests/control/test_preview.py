@@ -25,7 +25,7 @@ from ampc_msgs_config.types import (
     TRACKING,
     WRONG_WAY,
     Array,
-    Command,
+    Plan,
     VehicleState,
 )
 from ampc_ros.mpc.gain_table import load_gain_table
@@ -242,13 +242,13 @@ def test_side_wind_leaves_no_error_and_is_estimated() -> None:
         start_offset=0.0, wind=wind, duration=15.0
     )
     simulation, controller = Simulation(CAR, scenario), preview()
-    commands: list[Command] = []
+    commands: list[Plan] = []
     step = controller.step
 
     class Watched:
         period = controller.period
 
-        def step(self, state: VehicleState, path: Path) -> Command:
+        def step(self, state: VehicleState, path: Path) -> Plan:
             commands.append(step(state, path))
             return commands[-1]
 
@@ -324,8 +324,8 @@ class Measuring:
         self.controller, self.simulation = controller, simulation
         self.period = controller.period
 
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Set the measured angle, then return the command."""
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Tell, then answer."""
         self.controller.observe_steering(self.simulation.car.steering)
         return self.controller.step(state, path)
 

@@ -19,15 +19,16 @@ from ampc_msgs_config.types import (
     SHIFTED_PLAN,
     STOP,
     Array,
+    TickRecord,
     VehicleState,
 )
 from ampc_ros.configuration import CONTROLLERS, Configuration
 from ampc_ros.controller import build_controller
+from ampc_ros.supervision.fallback import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST
 from ampc_ros.supervision.guard import MEASURED_STEP, NONE, bounds
-from ampc_ros.supervision.ladder import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST
 from ampc_ros.supervision.received import Received
-from ampc_ros.supervision.rehearsal import rehearse
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
+from ampc_ros.supervision.warm_up import warm_up
 from sim_vehicle.closed_loop import drive
 from tests.supervised import between, made_for, supervised
 from tests.workshop.acceptance.trials import Trial, believed_vehicle, plant, scenario_of
@@ -56,14 +57,14 @@ def standing(config: Configuration | None = None, points: Array = ROAD) -> Super
     return supervisor
 
 
-def tick(supervisor: Supervisor, t: float) -> Decision:
+def tick(supervisor: Supervisor, t: float) -> TickRecord:
     """Decide at a time [s]."""
     decision = supervisor.tick(START + ns(t))
     assert decision is not None
     return decision
 
 
-def answer(supervisor: Supervisor, new: VehicleState) -> Decision:
+def answer(supervisor: Supervisor, new: VehicleState) -> TickRecord:
     """Take a state and decide at once."""
     supervisor.take_state(new, new.stamp_ns)
     decision = supervisor.tick(new.stamp_ns)
@@ -76,7 +77,7 @@ def age_path(supervisor: Supervisor, by: str, age: float, now_ns: int) -> None:
     assert supervisor.path
     past_ns = now_ns - ns(age)
     stamp_ns, arrival_ns = (past_ns, now_ns) if by == "stamp" else (now_ns, past_ns)
-    supervisor.path = Received(supervisor.path.value, stamp_ns, arrival_ns)
+    supervisor.follow(supervisor.path.value, stamp_ns, arrival_ns)
 
 
 def test_nothing_is_commanded_before_the_first_valid_state_and_path() -> None:
@@ -120,9 +121,9 @@ def test_state_is_late_and_lost_just_beyond_its_thresholds(
     answer(supervisor, state(0.0))
     now_ns, new = START + ns(0.1), state(0.1)
     times = {"stamp": now_ns, "arrival": now_ns, by: now_ns - ns(age)}
-    supervisor.state = Received(new, times["stamp"], times["arrival"])
-    told = tick(supervisor, 0.1).supervision
-    assert (told.rung, told.reason) == (rung, reason)
+    supervisor.replay_state(Received(new, times["stamp"], times["arrival"]), 0)
+    told = tick(supervisor, 0.1)
+    assert (told.command.rung, told.command.reason) == (rung, reason)
     assert told.stop_requested == float(rung == STOP)
     assert max(told.state_age, told.state_silence) == pytest.approx(age)
     assert min(told.state_age, told.state_silence) == 0.0
@@ -139,10 +140,13 @@ def test_path_is_lost_just_beyond_its_threshold_and_still_followed(
     supervisor, fresh = standing(made_for(static_path=False)), standing()
     supervisor.take_state(state(0.0, y=0.3), START)
     age_path(supervisor, by, age, START)
-    told, wanted = tick(supervisor, 0.0).supervision, answer(fresh, state(0.0, y=0.3)).supervision
-    assert told.reason == (PATH_LOST if lost else NO_REASON)
+    told, wanted = tick(supervisor, 0.0), answer(fresh, state(0.0, y=0.3))
+    assert told.command.reason == (PATH_LOST if lost else NO_REASON)
     assert told.stop_requested == float(lost)
-    assert (told.rung, told.steering) == (wanted.rung, wanted.steering)
+    assert (told.command.rung, told.command.steering) == (
+        wanted.command.rung,
+        wanted.command.steering,
+    )
 
 
 @by_stamp_or_arrival
@@ -150,8 +154,8 @@ def test_static_path_never_grows_old(by: str) -> None:
     supervisor = standing()
     supervisor.take_state(state(0.0), START)
     age_path(supervisor, by, 1e6, START)
-    told = tick(supervisor, 0.0).supervision
-    assert (told.reason, told.stop_requested) == (NO_REASON, 0.0)
+    told = tick(supervisor, 0.0)
+    assert (told.command.reason, told.stop_requested) == (NO_REASON, 0.0)
 
 
 def test_thresholds_are_those_of_the_settings() -> None:
@@ -159,7 +163,7 @@ def test_thresholds_are_those_of_the_settings() -> None:
     slower = replace(config.settings, state_late=0.3, state_lost=0.4)
     supervisor = standing(config._replace(settings=slower))
     answer(supervisor, state(0.0))
-    rungs = [tick(supervisor, t).supervision.rung for t in (0.3, 0.31, 0.4, 0.41)]
+    rungs = [tick(supervisor, t).command.rung for t in (0.3, 0.31, 0.4, 0.41)]
     assert rungs == [OPTIMAL, SHIFTED_PLAN, SHIFTED_PLAN, STOP]
 
 
@@ -168,18 +172,18 @@ def test_request_to_stop_is_latched_until_it_is_taken_back() -> None:
     answer(supervisor, state(0.0))
     tick(supervisor, 0.6)
     for t in (0.7, 0.8):
-        assert answer(supervisor, state(t)).supervision.stop_requested == 1.0
-    supervisor.stop_requested = False
-    assert answer(supervisor, state(0.9)).supervision.stop_requested == 0.0
+        assert answer(supervisor, state(t)).stop_requested == 1.0
+    supervisor.clear_stop()
+    assert answer(supervisor, state(0.9)).stop_requested == 0.0
 
 
 def test_lost_path_that_comes_again_is_followed_but_the_request_stays() -> None:
     supervisor = standing(made_for(static_path=False))
     answer(supervisor, state(0.0))
-    assert answer(supervisor, state(2.1)).supervision.reason == PATH_LOST
+    assert answer(supervisor, state(2.1)).command.reason == PATH_LOST
     supervisor.take_path(ROAD, START + ns(2.1), START + ns(2.1))
-    told = answer(supervisor, state(2.2)).supervision
-    assert (told.reason, told.stop_requested) == (NO_REASON, 1.0)
+    told = answer(supervisor, state(2.2))
+    assert (told.command.reason, told.stop_requested) == (NO_REASON, 1.0)
 
 
 FAULTS = [("unsolved", 0.1), ("unsolved", 0.3), ("unsolved", 0.5), ("unsolved", 2.0),
@@ -208,13 +212,13 @@ def test_controller_goes_on_from_the_angle_that_the_guard_let_through(name: str)
     tight = replace(config.guard, max_angle=(0.02, 0.02))
     supervisor = standing(config._replace(guard=tight))
     for k in range(60):
-        told = answer(supervisor, state(0.1 * k, y=1.0)).supervision
-        assert supervisor.ladder.controller.steering == told.steering == supervisor.steering
-    assert told.steering == -0.02
-    supervisor.filter.reset()
-    steps = [answer(supervisor, state(0.1 * k, y=-1.0)).supervision for k in range(60, 66)]
-    assert steps[0].steering > -0.02
-    assert steps[-1].steering == 0.02
+        told = answer(supervisor, state(0.1 * k, y=1.0))
+        assert supervisor.controller.steering == told.command.steering == supervisor.steering
+    assert told.command.steering == -0.02
+    supervisor._filter.reset()
+    steps = [answer(supervisor, state(0.1 * k, y=-1.0)) for k in range(60, 66)]
+    assert steps[0].command.steering > -0.02
+    assert steps[-1].command.steering == 0.02
 
 
 def test_measured_angle_is_used_once() -> None:
@@ -223,12 +227,12 @@ def test_measured_angle_is_used_once() -> None:
     supervisor = standing(config._replace(guard=near))
     answer(supervisor, state(0.0))
     supervisor.take_steering(-0.1)
-    first = answer(supervisor, state(0.1, y=-0.3)).supervision
-    second = answer(supervisor, state(0.2, y=-0.3)).supervision
+    first = answer(supervisor, state(0.1, y=-0.3))
+    second = answer(supervisor, state(0.2, y=-0.3))
     assert first.measured_steering == -0.1
-    assert first.clipped == MEASURED_STEP
+    assert first.command.clipped == MEASURED_STEP
     assert math.isnan(second.measured_steering)
-    assert second.clipped == NONE
+    assert second.command.clipped == NONE
 
 
 def test_reset_forgets_a_measured_angle() -> None:
@@ -236,37 +240,37 @@ def test_reset_forgets_a_measured_angle() -> None:
     answer(supervisor, state(0.0))
     supervisor.take_steering(0.2)
     supervisor.restart()
-    assert math.isnan(answer(supervisor, state(0.1)).supervision.measured_steering)
+    assert math.isnan(answer(supervisor, state(0.1)).measured_steering)
 
 
 def test_reconfiguration_keeps_angle_inputs_and_counts_and_counts_on() -> None:
     supervisor = standing()
     for k in range(5):
         answer(supervisor, state(0.1 * k, y=1.0))
-    supervisor.ladder.qp_fault = True
-    supervisor.clips["rate"] = 7
+    supervisor.inject_qp_fault(True)
+    supervisor._clips["rate"] = 7
     angle = supervisor.steering
     other = made_for(guard="road")
     supervisor.reconfigure(other._replace(guard=replace(other.guard, max_angle=(0.01,) * 6)))
     assert supervisor.number == 2
-    assert supervisor.steering == supervisor.ladder.controller.steering == angle
-    assert supervisor.ladder.qp_fault
-    told = answer(supervisor, state(0.5, y=1.0)).supervision
-    assert (told.configuration, told.rung) == (2.0, FEED_FORWARD)
-    assert 0.0 < abs(told.steering - angle) <= 1.3 * 0.1
-    assert supervisor.guard.count["rate"] >= 7
+    assert supervisor.steering == supervisor.controller.steering == angle
+    assert supervisor.qp_fault
+    told = answer(supervisor, state(0.5, y=1.0))
+    assert (told.configuration, told.command.rung) == (2.0, FEED_FORWARD)
+    assert 0.0 < abs(told.command.steering - angle) <= 1.3 * 0.1
+    assert supervisor.clips["rate"] >= 7
 
 
 def test_wrong_reconfiguration_changes_nothing() -> None:
     supervisor = standing(points=np.column_stack((50 * np.sin(np.arange(0, 6, 0.05)),
                                                   50 * np.cos(np.arange(0, 6, 0.05)))))  # fmt: skip
-    before = supervisor.config, supervisor.guard, supervisor.ladder
+    before = supervisor.config, supervisor._guard, supervisor._chain
     with pytest.raises(ValueError, match="against its chord"):
         supervisor.reconfigure(made_for("paper", "paper"))
     wrong = made_for()._replace(gains={"speed": [9.0]})
     with pytest.raises(ValueError, match="my table: "):
         supervisor.reconfigure(wrong, "my table")
-    assert (supervisor.config, supervisor.guard, supervisor.ladder) == before
+    assert (supervisor.config, supervisor._guard, supervisor._chain) == before
     assert supervisor.number == 1
 
 
@@ -286,7 +290,7 @@ def test_clock_that_goes_back_straightens_only_simulated_wheels(
     assert held != 0.0
     assert supervisor.path
     assert supervisor.path.arrival_ns == back.stamp_ns
-    assert tick(supervisor, 0.0).supervision.resets == 1.0
+    assert tick(supervisor, 0.0).resets == 1.0
 
 
 def test_car_that_is_moved_elsewhere_starts_anew_from_the_angle_in_force() -> None:
@@ -315,6 +319,25 @@ def test_same_points_again_only_renew_the_path() -> None:
     supervisor.follow(before, START + 4, START + 4)
     supervisor.take_path(BEND, START + 5, START + 5)
     assert supervisor.path.value is not before
+
+
+def test_the_controller_is_told_of_every_tick_without_a_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    supervisor = standing()
+    straight = [answer(supervisor, state(0.1 * k)).command for k in range(3)]
+    assert {each.steering for each in straight} == {0.0}
+    calls: list[tuple[float, bool]] = []
+
+    def note(steering: float, *, stepped: bool) -> None:
+        calls.append((steering, stepped))
+
+    monkeypatch.setattr(supervisor.controller, "take_over", note)
+    answer(supervisor, state(0.3))
+    assert calls == []
+    late = tick(supervisor, 0.6).command
+    assert (late.rung, late.steering) == (SHIFTED_PLAN, supervisor.controller.steering)
+    assert calls == [(0.0, False)]
 
 
 def test_lock_step_never_grows_old() -> None:
@@ -393,44 +416,46 @@ def test_recorded_inputs_give_the_same_bits_again(name: str, ticks: list[Input])
         points = {"path": BEND, "new": ROAD}.get(each.event, points)
         new = VehicleState(now_ns - ns(each.late), 50.0 + k, each.y, 0.0, 9.0, 0.0, 0.0)
         if each.event == "back":
-            live.start_anew_at(new)
-            again.start_anew_at(new)
-        live.state = Received(new, new.stamp_ns, now_ns)
+            again.replay_state(Received(new, new.stamp_ns, now_ns), again.resets + 1)
+        resets = live.resets + (each.event == "back")
+        live.replay_state(Received(new, new.stamp_ns, now_ns), resets)
         live.take_path(points, now_ns, now_ns)
         live.take_steering(each.measured)
-        live.ladder.qp_fault = each.fault
+        live.inject_qp_fault(each.fault)
         decision = live.tick(now_ns)
         assert decision is not None
-        told = decision.supervision
-        assert abs(told.steering) <= limit
+        told = decision
+        assert abs(told.command.steering) <= limit
         repeated = repeat(again, decision, new, points)
-        assert repr(repeated) == repr(told._replace(configuration=repeated[-2]))
+        same = told.command.plan, told.configuration
+        replayed = repeated._replace(command=repeated.command._replace(plan=same[0]))
+        assert repr(replayed._replace(configuration=same[1])) == repr(told)
 
 
 def begin_anew(supervisor: Supervisor) -> Supervisor:
     """Forget all but the compiled code."""
+    supervisor.forget()
     supervisor.restart(0.0)
-    supervisor.state = supervisor.path = supervisor.points = None
-    supervisor.resets, supervisor.stop_requested = 0, False
     return supervisor
 
 
 def repeat(
-    supervisor: Supervisor, recorded: Decision, new: VehicleState, points: Array
-) -> tuple[float, ...]:
+    supervisor: Supervisor, recorded: TickRecord, new: VehicleState, points: Array
+) -> TickRecord:
     """Feed what a recording says about one tick."""
-    told = recorded.supervision
+    told = recorded
     now_ns = new.stamp_ns + ns(told.state_age)
-    supervisor.state = Received(new, new.stamp_ns, now_ns - ns(told.state_silence))
+    received = Received(new, new.stamp_ns, now_ns - ns(told.state_silence))
+    supervisor.replay_state(received, int(told.resets))
     supervisor.take_path(points, now_ns - ns(told.path_age), now_ns - ns(told.path_silence))
     if not math.isnan(told.measured_steering):
         supervisor.take_steering(told.measured_steering)
-    supervisor.ladder.qp_fault = told.qp_fault > 0
+    supervisor.inject_qp_fault(told.qp_fault > 0)
     decision = supervisor.tick(now_ns)
     assert decision is not None
-    return decision.supervision
+    return decision
 
 
 @every_controller
-def test_rehearsal_goes_through_for_every_controller(name: str) -> None:
-    rehearse(made_for("paper", name))
+def test_warm_up_runs_for_every_controller(name: str) -> None:
+    warm_up(made_for("paper", name))

@@ -76,7 +76,8 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
 
 
 def test_the_launch_file_knows_every_controller(launch_file: Any) -> None:
-    assert launch_file.CHOICES["controller"] == list(CONTROLLERS)
+    _, description = launch_file.ARGUMENTS["controller"]
+    assert description == f"{', '.join(CONTROLLERS)}, or FILE.py:CLASS"
 
 
 def test_the_end_of_every_node_but_the_markers_ends_the_others(launch_file: Any) -> None:

@@ -9,6 +9,7 @@ from lifecycle_msgs.msg import Transition
 from ampc_msgs_config.config import shipped
 from ampc_ros.configuration import from_yaml
 from ampc_ros.nodes.controller_node import ControllerNode
+from ampc_ros.nodes.managed_node import lifecycle_state
 from tests.driver_of_nodes import OURS, Driver, largest_step, set_parameter
 from tests.ros_nodes import ros_context, spin_until
 
@@ -29,6 +30,19 @@ def active(unconfigured: Driver) -> Driver:
     assert unconfigured.change(Transition.TRANSITION_ACTIVATE)
     unconfigured.drive_for(8)
     return unconfigured
+
+
+def test_lifecycle_state(unconfigured: Driver) -> None:
+    """The private interface of rclpy that `managed_node.lifecycle_state` uses."""
+    assert lifecycle_state(unconfigured.node) == unconfigured.state() == "unconfigured"
+    assert unconfigured.change(Transition.TRANSITION_CONFIGURE)
+    assert lifecycle_state(unconfigured.node) == unconfigured.state() == "inactive"
+
+
+def test_wrap_change_state(unconfigured: Driver) -> None:
+    """The private interface of rclpy that `managed_node.wrap_change_state` uses."""
+    assert not unconfigured.change(Transition.TRANSITION_DEACTIVATE)
+    assert unconfigured.change(Transition.TRANSITION_CONFIGURE)
 
 
 def test_a_controller_without_autostart_waits_publishes_nothing_and_says_so(

@@ -220,16 +220,16 @@ def test_a_state_that_comes_after_its_tick_is_answered_at_once_and_none_is_misse
         add(executor, node)
         node.on_path(path())
         node.on_odometry(odometry(TICK_NS))
-        assert not node.is_answered()
+        assert not node.policy.is_answered
         node.on_timer()
         for tick in range(2, 7):
             node.on_timer()
             node.on_odometry(odometry(tick * TICK_NS))
-            assert node.is_answered()
-        assert (node.commands_given, node.ticks.missed, node.trouble) == (6, 0, "")
+            assert node.policy.is_answered
+        assert (node.commands, node.policy.missed, node.trouble) == (6, 0, "")
         for _ in range(3):
             node.on_timer()
-        assert node.ticks.missed == 2
+        assert node.policy.missed == 2
         assert node.trouble == "no new odom since the last tick"
 
 
@@ -269,7 +269,7 @@ def test_the_timer_follows_simulated_time_and_time_going_backwards_starts_anew()
                 world.odom.publish(odometry(stamp_ns))
                 world.spin_until(lambda: node.supervisor.newest_ns == stamp_ns)  # noqa: B023
                 world.set_clock(stamp_ns / NANOSECONDS, node)
-                world.spin_until(node.is_answered)
+                world.spin_until(lambda: node.policy.is_answered)
         world.spin_until(lambda: len(world.commands) == 20)
     first, second = world.commands[:10], world.commands[10:]
     assert [command.stamp_ns for command in first] == list(
@@ -390,20 +390,20 @@ def compiled_within_ticks(controller: str) -> dict[str, int]:
             steerer.on_odometry(message)
             steerer.on_steering(ros.joint_message(0, 0.0, 0.0))
             steerer.on_timer()
-            assert steerer.is_answered()
+            assert steerer.policy.is_answered
             planner.on_odometry(message)
             simulator.simulation.advance(0.1, 9.0, TICK_NS)
             simulator.publish_state()
-            assert steerer.decision
-            rungs.add(steerer.decision.supervision.rung)
-            steerer.supervisor.ladder.qp_fault = tick > len(MET)
+            assert steerer.policy.record
+            rungs.add(steerer.policy.record.command.rung)
+            steerer.supervisor.inject_qp_fault(tick > len(MET))
         assert {OPTIMAL, SHIFTED_PLAN, FEED_FORWARD} <= rungs
         assert steerer.set_parameters([Parameter("guard", value="track")])[0].successful
         stamp_ns += TICK_NS
         steerer.on_odometry(odometry(stamp_ns, x=9.0 * stamp_ns / NANOSECONDS, y=-3.0))
         steerer.on_timer()
-        assert steerer.decision
-        assert steerer.decision.supervision.configuration == 2
+        assert steerer.policy.record
+        assert steerer.policy.record.configuration == 2
         after = compiled_signatures()
     return {
         name: after[name] - before.get(name, 0) for name in after if after[name] != before[name]

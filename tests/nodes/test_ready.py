@@ -21,9 +21,9 @@ from numba.core.dispatcher import Dispatcher
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import MODES, NANOSECONDS, VehicleState
-from ampc_ros import controller as controllers
-from ampc_ros.configuration import CONTROLLERS, Choices
-from ampc_ros.controller import make_controller, warm_up
+from ampc_ros.configuration import CONTROLLERS, Choices, configuration
+from ampc_ros.controller import make_controller
+from ampc_ros.supervision import warm_up
 from tests.ros_nodes import ros_context
 
 PATHS: dict[str, list[tuple[float, float]]] = {
@@ -63,8 +63,9 @@ def compiled_signatures() -> dict[str, int]:
 def compiled_after_warm_up(name: str, settings: Path) -> dict[str, int]:
     """Give the functions that random drives compile after the warm-up."""
     rng = np.random.default_rng(7)
-    controller = make_controller(Choices(controller=name, settings=str(settings)))
-    warm_up(controller)
+    choices = Choices(controller=name, settings=str(settings))
+    controller = make_controller(choices)
+    warm_up.warm_up(configuration(choices))
     before = compiled_signatures()
     for points in PATHS.values():
         path = make_path(points)
@@ -90,10 +91,10 @@ def test_no_function_is_compiled_after_the_warm_up(
 
 def test_the_warm_up_meets_every_mode_active_rows_and_both_kinds_of_path() -> None:
     controller, met = make_controller(Choices()), set()
-    for points in (controllers.STRAIGHT, controllers.CIRCLE):
+    for points in (warm_up.STRAIGHT, warm_up.CIRCLE):
         path = make_path(points)
         controller.reset()
-        for tick, values in enumerate(controllers.REHEARSAL):
+        for tick, values in enumerate(warm_up.WARM_UP_STATES):
             state = VehicleState(tick * NANOSECONDS // 10, *values)
             diagnosis = controller.step(state, path).diagnosis
             met |= {MODES[int(diagnosis.mode)], ("closed", path.closed)}
@@ -101,19 +102,6 @@ def test_the_warm_up_meets_every_mode_active_rows_and_both_kinds_of_path() -> No
             met |= {("outside", bool(diagnosis.outside_table))}
     flags = {(what, flag) for what in ("closed", "active", "outside") for flag in (False, True)}
     assert met == set(MODES) | flags
-
-
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_a_controller_remembers_nothing_of_its_warm_up(name: str) -> None:
-    fresh, warm = (
-        make_controller(Choices(controller=name)),
-        make_controller(Choices(controller=name)),
-    )
-    warm_up(warm)
-    path = make_path(PATHS["bends"])
-    for tick in range(5):
-        state = VehicleState(tick * NANOSECONDS // 10, 0.9 * tick, 0.3, 0.0, 9.0, 0.0, 0.0)
-        assert str(warm.step(state, path)) == str(fresh.step(state, path))
 
 
 def tick_times() -> list[float]:
@@ -135,7 +123,7 @@ def tick_times() -> list[float]:
             node.on_odometry(message)
             node.on_timer()
             times.append(time.perf_counter() - begin)
-            assert node.is_answered()
+            assert node.policy.is_answered
         return times
 
 

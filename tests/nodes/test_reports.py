@@ -1,5 +1,6 @@
 """What the nodes report: every level, in sentences and with numbers, at once where it changes."""
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
@@ -70,7 +71,7 @@ def test_the_controller_reports_every_level_with_its_reason(
     node.on_path(message)
     level, said = world.at(3.5, node, odom=False)
     assert level == WARN
-    assert said.startswith("steering by shifted_plan, because of state_late")
+    assert re.search("shifted_plan, .*state_late", said)
     level, said = world.at(3.8, node, odom=False)
     assert level == STALE
     assert said.startswith("odom is 0.6 s old: a stop is requested")
@@ -85,8 +86,8 @@ def test_a_stop_that_was_requested_is_reported_until_it_is_taken_back(
     world.at(0.7, node, odom=False)
     assert node.supervisor.stop_requested
     level, said = world.at(0.8, node)
-    assert (level, "a stop has been requested" in said) == (WARN, True)
-    node.supervisor.stop_requested = False
+    assert (level, "~/reset_stop" in said) == (WARN, True)
+    node.supervisor.clear_stop()
     assert world.at(0.9, node) == (OK, "OK")
 
 
@@ -107,10 +108,10 @@ def test_a_controller_that_does_not_steer_reports_that() -> None:
     with ros_context(autostart="false", controller="pure_pursuit") as executor:
         node = ControllerNode()
         add(executor, node)
-        assert report_of(node).message == "unconfigured: no commands are given"
+        assert report_of(node).message == "unconfigured: no commands are published"
         node.trigger_configure()
         report = report_of(node)
-        assert (report.level[0], report.message) == (WARN, "inactive: no commands are given")
+        assert (report.level[0], report.message) == (WARN, "inactive: no commands are published")
 
 
 def test_an_odom_that_falls_silent_is_reported_at_once_and_logged_rung_by_rung(
@@ -132,11 +133,9 @@ def test_an_odom_that_falls_silent_is_reported_at_once_and_logged_rung_by_rung(
         assert [level for level, _ in heard[-2:]] == [WARN, STALE]
         driver.drive_for(3)
     said = [line.partition("]: ")[2] for line in capfd.readouterr().err.split("\n")]
-    assert said[-4:-1] == [
-        "steering by shifted_plan, because of state_late",
-        "a stop is requested, because of state_lost",
-        "steering by the controller's solution again",
-    ]
+    wanted = ("shifted_plan.*state_late", "stop is requested.*state_lost", "fallback ended")
+    for line, pattern in zip(said[-4:-1], wanted, strict=True):
+        assert re.search(pattern, line)
     assert last.stamp_ns < heard[-1][1]
 
 
@@ -174,7 +173,7 @@ def test_the_car_is_braked_too_where_the_state_is_what_was_lost(
         node.on_stop_request(Bool(data=True))
         for tick in range(1, 31):
             world.at(2.0 + tick / 10, node, odom=False)
-            node.on_blind()
+            node.on_braking_timer()
     assert speeds[0] == 9.0
     assert speeds[1:] == sorted(speeds[1:], reverse=True)
     assert speeds[-1] < 4.0
@@ -191,8 +190,8 @@ def test_the_car_is_braked_while_a_stop_is_requested_in_real_time_only(lock_step
         speeds = []
         for tick in range(1, 60):
             node.on_odometry(odometry(tick * NANOSECONDS // 10))
-            assert node.answer
-            speeds.append(node.answer.twist.linear.x)
+            assert node.newest
+            speeds.append(node.newest.twist.linear.x)
     if lock_step:
         assert min(speeds) > 5.0
     else:

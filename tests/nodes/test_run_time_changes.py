@@ -79,11 +79,11 @@ def test_a_change_in_a_bend_steps_no_farther_than_an_ordinary_tick(
 def test_the_counts_of_the_guard_and_the_angle_in_force_outlive_a_change() -> None:
     narrow = configuration(Choices(static_path=True))
     supervisor = Supervisor(narrow)
-    supervisor.guard.count["rate"] = 3
-    supervisor.guard.steering = 0.3
+    supervisor._clips["rate"] = 3
+    supervisor._guard.steering = 0.3
     limits = {"max_angle": (0.1,) * len(narrow.guard.speed)}
     supervisor.reconfigure(narrow._replace(guard=replace(narrow.guard, **limits)))
-    assert supervisor.guard.count["rate"] == 3
+    assert supervisor.clips["rate"] == 3
     assert supervisor.steering == 0.3
 
 
@@ -155,7 +155,7 @@ def test_a_set_with_one_wrong_value_changes_nothing(case: str, driver: Driver) -
     assert sentence in result.reason
     assert {name: driver.node.get_parameter(name).value for name in changes} == before
     assert driver.node.supervisor.config is config
-    assert not driver.node.supervisor.ladder.qp_fault
+    assert not driver.node.supervisor.qp_fault
     driver.drive_for(2)
     assert len(driver.config) == 1
 
@@ -166,7 +166,7 @@ def test_parameters_set_one_by_one_are_judged_one_by_one(driver: Driver) -> None
     results = driver.answer(client, SetParameters.Request(parameters=requested(changes))).results
     assert [result.successful for result in results] == [True, False, True]
     assert driver.node.supervisor.number == 2
-    assert driver.node.supervisor.ladder.qp_fault
+    assert driver.node.supervisor.qp_fault
 
 
 def test_reload_reads_the_files_anew_and_refuses_broken_ones(driver: Driver) -> None:
@@ -201,5 +201,5 @@ def test_a_fault_that_was_chosen_at_the_start_is_in_force() -> None:
     with ros_context(qp_fault="true", static_path="true") as executor:
         driver = Driver(executor, ControllerNode())
         driver.drive_for(1)
-        assert driver.node.decision
-        assert driver.node.decision.supervision.qp_fault == 1.0
+        assert driver.node.policy.record
+        assert driver.node.policy.record.qp_fault == 1.0

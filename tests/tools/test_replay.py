@@ -1,9 +1,11 @@
 """A recorded run goes through the controller again: the same bits, or the difference is told."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,12 @@ from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replay import main
 from launch_scripts.replaying.recorded_run import read_run
-from launch_scripts.replaying.repetition import differences, repeat, with_value
+from launch_scripts.replaying.repetition import (
+    differences,
+    is_same,
+    replay_ticks,
+    with_value,
+)
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.configuration import Configuration as SimulatedCar
 from sim_vehicle.configuration import to_yaml
@@ -63,7 +70,7 @@ def drive_in_lock_step(folder: Path, name: str, controller: str = "preview") -> 
             simulation.advance(decision.command.steering, speed, TICK_NS)
 
 
-def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[float]:
+def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[int]:
     """Record a drive with its own clock, late states and whatever else; gives the rungs."""
     rng, scenario = np.random.default_rng(seed), scenario_of("sc2", 8.0)
     supervisor = Supervisor(configuration(Choices(static_path=True)))
@@ -89,7 +96,7 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[fl
             if decision:
                 commands, steering = commands + 1, decision.command.steering
                 bag.decision(decision, commands)
-                rungs.append(decision.supervision.rung)
+                rungs.append(decision.command.rung)
             simulation.advance(steering, planner.target_speed(state), STEP_NS)
     return rungs
 
@@ -124,27 +131,28 @@ def nothing(_: Supervisor, __: int) -> None:
 
 def qp_fails(supervisor: Supervisor, step: int) -> None:
     """Let the solver fail for a second."""
-    supervisor.ladder.qp_fault = 100 <= step < 150
+    supervisor.inject_qp_fault(100 <= step < 150)
 
 
 def gains_change(supervisor: Supervisor, step: int) -> None:
-    """Use other limits in the middle of the drive."""
+    """Change the limits during the drive."""
     if step == 90:
         settings = replace(supervisor.config.settings, max_increment=0.02)
         supervisor.reconfigure(supervisor.config._replace(settings=settings))
 
 
 def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
-    """Ask for a stop by a second of failures, then take that back."""
-    qp_fails(supervisor, step)
+    """Request a stop by a path that grows too old, then take the request back."""
+    if step in (150, 300):
+        supervisor.reconfigure(supervisor.config._replace(static_path=step == 300))
     if step == 300:
-        supervisor.stop_requested = False
+        supervisor.clear_stop()
 
 
 def assert_same_bits(folder: Path) -> None:
     """Replay, and find no difference."""
     run = read_run(folder)
-    decisions = list(repeat(run.ticks, run.config))
+    decisions = list(replay_ticks(run.ticks, run.config))
     for tick, decision in zip(run.ticks, decisions, strict=True):
         assert differences(tick, decision, 0.0) == []
 
@@ -167,8 +175,50 @@ def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
     disturb: Disturb, tmp_path: Path
 ) -> None:
     rungs = drive_in_real_time(tmp_path / "bag", disturb)
-    assert max(rungs) > 0  # the states that were lost are felt
+    assert max(rungs) > 0  # states were lost
     assert_same_bits(tmp_path / "bag")
+    stops = [tick.values["stop_requested"] for tick in read_run(tmp_path / "bag").ticks]
+    changes = [stop for stop, _ in groupby(stops)]
+    assert changes == ([0.0, 1.0, 0.0] if disturb is stop_is_taken_back else [0.0])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "tolerance", "same"),
+    [
+        (math.nan, math.nan, 0.0, True),
+        (math.nan, 1.0, 0.0, False),
+        (1.0, math.nan, 0.0, False),
+        (math.nan, 1.0, 1e9, False),
+        (1.0, np.nextafter(1.0, 2.0), 0.0, False),
+        (1.0, np.nextafter(1.0, 2.0), 1e-9, True),
+        (1.0, 1.1, 1e-9, False),
+        (math.inf, math.inf, 0.0, True),
+    ],
+)
+def test_numbers_are_the_same_within_the_tolerance_and_nan_only_as_nan(
+    a: float, b: float, tolerance: float, same: bool
+) -> None:
+    assert bool(is_same(a, b, tolerance)) is same
+    assert bool(is_same(b, a, tolerance)) is same
+
+
+def test_a_run_with_a_custom_controller_needs_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    text = "class Mine:\n    period = 0.1\n    def step(self, state, path): return -0.1 * state.y\n"
+    file.write_text(text, encoding="utf-8")
+    drive_in_lock_step(tmp_path / "bag", "straight", f"{file}:Mine")
+    assert main([str(tmp_path / "bag")]) == 0
+    assert main([str(tmp_path / "bag"), "--controller", f"{file}:Mine"]) == 0
+    file.unlink()
+    capsys.readouterr()
+    assert main([str(tmp_path / "bag")]) == 2
+    line = capsys.readouterr().out.strip()
+    assert line.startswith("error: ")
+    assert str(file) in line
+    assert "\n" not in line
+    assert main([str(tmp_path / "bag"), "--controller", "pure_pursuit"]) == 0
 
 
 def test_a_run_with_an_injector_replays_what_the_controller_heard(tmp_path: Path) -> None:
@@ -199,7 +249,7 @@ def test_another_process_replays_the_same_bits(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "launch_scripts.replay", str(tmp_path / "bag")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "every command is the recorded one, bit for bit" in done.stdout
+    assert "every command equals the recorded one, bit for bit" in done.stdout
 
 
 def test_the_first_difference_is_shown_with_its_inputs(
@@ -217,9 +267,9 @@ def test_the_first_difference_is_shown_with_its_inputs(
             decision = supervisor.tick(state.stamp_ns)
             assert decision
             if tick == 3:  # a bit flips
-                angle = float(np.nextafter(decision.supervision.steering, 1.0))
-                wrong = decision.supervision._replace(steering=angle)
-                decision = decision._replace(supervision=wrong)
+                angle = float(np.nextafter(decision.command.steering, 1.0))
+                wrong = decision.command._replace(steering=angle)
+                decision = decision._replace(command=wrong)
             bag.decision(decision, tick)
     assert main([str(tmp_path / "bag")]) == 1
     said = capsys.readouterr().out

@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, String
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GuardLimits
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
+from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan
 from launch_scripts.report import main, names_of, page_file
 from launch_scripts.reporting.context import ReportInputs
 from launch_scripts.reporting.drive import Judged, judge_bag
@@ -287,8 +287,7 @@ def test_what_a_bag_does_not_tell_fails_its_threshold(tmp_path: Path) -> None:
 def test_the_shipped_thresholds_fail_only_where_the_drive_does(tmp_path: Path) -> None:
     states = straight_states(90)  # 0.1 m beside its path, solve time untold
     commands = [
-        (s.stamp_ns, ros.steering_message(Command(s.stamp_ns, 0.0, 0.0, Diagnosis())))
-        for s in states
+        (s.stamp_ns, ros.steering_message(Plan(s.stamp_ns, 0.0, 0.0, Diagnosis()))) for s in states
     ]
     bag = write_messages(tmp_path / "bag", foreign(90) | {"/steering_command": commands})
     assert main([str(bag), "--thresholds", str(EXAMPLE)]) == 1

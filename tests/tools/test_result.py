@@ -16,7 +16,7 @@ from ampc_msgs_config.paths.curves import Lane
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
-from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.figure import draw
@@ -36,7 +36,7 @@ def drive_messages(points: Array) -> dict[str, list[Any]]:
     for tick, (x, y) in enumerate(points[::10]):
         stamp_ns = NANOSECONDS + tick * TICK_NS
         state = VehicleState(stamp_ns, x, y + 0.1, yaw=0.0, v_x=8.0, v_y=0.0, yaw_rate=0.0)
-        command = Command(stamp_ns, 0.01 * tick, 0.1, Diagnosis())
+        command = Plan(stamp_ns, 0.01 * tick, 0.1, Diagnosis())
         for topic, message in {
             ros.ODOM: ros.odometry_message(state),
             ros.STEERING_COMMAND: ros.steering_message(command),

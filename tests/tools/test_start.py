@@ -151,8 +151,8 @@ MISSED = {
     "planner": ["simulator: no target_speed for"],
     "controller": ["simulator: no steering_command for"],
     "simulator": [
-        "controller: steering by shifted_plan, because of state_late",
-        "controller: a stop is requested, because of state_lost",
+        "controller: fallback: steering by shifted_plan, reason: state_late",
+        "controller: a stop is requested, reason: state_lost",
         "planner: a stop is requested: braking",
     ],
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from ampc_ros.supervision.guard import Guard
 from tests.workshop.fault_matrix.endurance import (
     GROWTH,
     PAUSE,
@@ -19,7 +20,7 @@ from tests.workshop.fault_matrix.endurance import (
     main,
     random_faults,
 )
-from tests.workshop.fault_matrix.fault_loop import Tick
+from tests.workshop.fault_matrix.fault_loop import CommandedTick
 from tests.workshop.fault_matrix.inject_cases import load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Conditions
 
@@ -84,13 +85,14 @@ def test_memory_may_grow_before_minute_five_and_less_than_5_mb_after_it(
 def test_a_command_outside_the_limits_is_seen() -> None:
     drive = Bench(Conditions()).drive(load_course("sc1", Bench(Conditions()).vehicle.size), ())
     drive.run(1.0)
-    guard, tick = drive.supervisor.guard, drive.told[-1]
+    config, tick = drive.supervisor.config, drive.ticks[-1]
+    guard = Guard(config.guard, config.chassis, drive.supervisor.period)
 
-    def with_angle(angle: float) -> Tick:
-        command = tick.decision.command._replace(steering=angle)
-        return tick._replace(decision=tick.decision._replace(command=command))
+    def with_angle(angle: float) -> CommandedTick:
+        command = tick.record.command._replace(steering=angle)
+        return tick._replace(record=tick.record._replace(command=command))
 
-    assert is_inside(tick, guard, tick.decision.command.steering)
+    assert is_inside(tick, guard, tick.record.command.steering)
     for angle, last in ((0.61, 0.61), (-0.61, -0.61), (math.nan, 0.0), (0.59, -0.1)):
         assert not is_inside(with_angle(angle), guard, last)
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from ampc_msgs_config.types import REASONS, RUNGS, Command
-from ampc_ros.supervision.guard import Guard, Guarded
-from ampc_ros.supervision.ladder import Ladder
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_msgs_config.types import REASONS, RUNGS, Plan, TickRecord
+from ampc_ros.supervision.fallback import FallbackChain
+from ampc_ros.supervision.guard import Guard, GuardResult
+from ampc_ros.supervision.supervisor import Supervisor
 from tests.workshop.fuzz.fuzz import main
 from tests.workshop.fuzz.fuzz_core import KINDS, core_drive
 from tests.workshop.fuzz.fuzz_guard import Violation
@@ -38,15 +38,15 @@ def test_a_drive_is_repeated_by_its_seed_and_number() -> None:
     assert core_drive(2, 3, 500) == core_drive(2, 3, 500) != core_drive(2, 4, 500)
 
 
-Step = Callable[..., Guarded]
-Tick = Callable[..., Decision | None]
+Step = Callable[..., GuardResult]
+Tick = Callable[..., TickRecord | None]
 
 
-def with_guarded(change: Callable[[Guarded, float], Guarded]) -> Any:
+def with_guarded(change: Callable[[GuardResult, float], GuardResult]) -> Any:
     """Give a guard's step whose result is changed, from the angle in force."""
     step = Guard.step
 
-    def changed(self: Guard, *arguments: Any) -> Guarded:
+    def changed(self: Guard, *arguments: Any) -> GuardResult:
         last = self.steering
         guarded = change(step(self, *arguments), last)
         self.steering = guarded.steering
@@ -55,7 +55,7 @@ def with_guarded(change: Callable[[Guarded, float], Guarded]) -> Any:
     return changed
 
 
-def jumped(good: Guarded, last: float) -> Guarded:
+def jumped(good: GuardResult, last: float) -> GuardResult:
     """Move by more than a wheel can."""
     return good._replace(steering=last - math.copysign(0.14, last))
 
@@ -79,16 +79,16 @@ def test_a_broken_guard_is_found(fault: str, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_tick_that_raises_a_refusal_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any) -> Command:
+    def refuse(*_: Any) -> Plan:
         raise ValueError("no graph over its chord")
 
-    monkeypatch.setattr(Ladder, "_step", refuse)
+    monkeypatch.setattr(FallbackChain, "_step", refuse)
     with pytest.raises(Violation, match="a tick raises ValueError"):
         core_drive(1, 0, FEW)
 
 
 def test_a_ladder_that_stays_down_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Ladder, "answer", lambda self, _, __, now: self.stop(7, now, 0))
+    monkeypatch.setattr(FallbackChain, "answer", lambda self, _, __, now: self.stop(7, now, 0))
     with pytest.raises(Violation):
         core_drive(1, 0, FEW)
 
@@ -96,13 +96,13 @@ def test_a_ladder_that_stays_down_is_found(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_forgotten_request_to_stop_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     tick = Supervisor.tick
 
-    def forgetful(self: Supervisor, now_ns: int) -> Decision | None:
+    def forgetful(self: Supervisor, now_ns: int) -> TickRecord | None:
         decision = tick(self, now_ns)
-        self.stop_requested = bool(decision and decision.supervision.rung == 4)
+        self._stop_requested = bool(decision and decision.command.rung == 4)
         return decision
 
     monkeypatch.setattr(Supervisor, "tick", forgetful)
-    with pytest.raises(Violation, match="the request to stop is forgotten"):
+    with pytest.raises(Violation, match="the request to stop was lost"):
         core_drive(1, 0, FEW)
 
 

@@ -65,7 +65,7 @@ def test_without_a_fault_nothing_is_refused_missed_clipped_or_answered_from_belo
     assert not log.rejected
     assert not log.clips
     assert log.missed == 0
-    assert {tick.decision.supervision.rung for tick in log.ticks} == {0.0}
+    assert {tick.record.command.rung for tick in log.ticks} == {0.0}
     assert np.diff([tick.time for tick in log.ticks]) == pytest.approx(0.1)
     assert abs(log.error).max() < 0.02
 
@@ -74,8 +74,8 @@ def test_a_drive_is_repeated_bit_for_bit() -> None:
     fault = replace(BY_NAME["jitter 0-200 ms"].fault, start=3.0)
     once, again = (bench().log(course().scenario, fault) for _ in range(2))
     assert np.array_equal(once.error, again.error)
-    assert [t.decision.command.steering for t in once.ticks] == [
-        t.decision.command.steering for t in again.ticks
+    assert [t.record.command.steering for t in once.ticks] == [
+        t.record.command.steering for t in again.ticks
     ]
 
 
@@ -98,8 +98,9 @@ def test_left_and_right_are_mirror_images(name: str, road: str) -> None:
     assert right.error == pytest.approx(-left.error, abs=SAME)
     assert right.rejected == left.rejected
     for a, b in zip(left.ticks, right.ticks, strict=True):
-        assert a.decision.command.steering == pytest.approx(-b.decision.command.steering, abs=SAME)
-        assert a.decision.supervision[2:9] == b.decision.supervision[2:9]
+        assert a.record.command.steering == pytest.approx(-b.record.command.steering, abs=SAME)
+        assert a.record.command[4:7] == b.record.command[4:7]
+        assert a.record[1:5] == b.record[1:5]
 
 
 def test_the_rungs_and_reasons_of_a_fault_are_told() -> None:
@@ -151,10 +152,9 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
     whole = course().free
     ticks = []
     for i, rung in enumerate(rungs):
-        decision = whole.ticks[i].decision
-        told = decision.supervision._replace(rung=float(rung))
-        ticks.append(whole.ticks[i]._replace(time=float(i), decision=decision._replace(
-            supervision=told)))  # fmt: skip
+        record = whole.ticks[i].record
+        record = record._replace(command=record.command._replace(rung=rung))
+        ticks.append(whole.ticks[i]._replace(time=float(i), record=record))
     time = np.arange(10, dtype=np.float64)
     speed = np.full(10, 9.0)
     return whole._replace(time=time, error=np.array(error), speed=speed, ticks=ticks)

@@ -1,28 +1,28 @@
-"""How a target speed obeys a request to stop: down to a standstill, and up again, gently."""
+"""Target speed under a request to stop: gentle braking to a standstill, and acceleration after."""
 
 import math
 
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 COMFORTABLE = 2.0
-"""Deceleration that nobody in the car minds, and acceleration when the drive goes on [m/s^2]."""
+"""Comfortable deceleration, and acceleration after the request is taken back [m/s^2]."""
 
 
 class Braking:
-    """Limits a planned speed: falling while a stop is requested, rising again when it is not."""
+    """Limits a planned speed: falling while a stop is requested, rising again afterwards."""
 
     def __init__(self) -> None:
-        """Limit nothing."""
+        """Start without a limit."""
         self.most = math.inf
-        """Allowed now [m/s]."""
+        """Largest speed now [m/s]."""
         self.at_ns = 0
 
     def limited(self, planned: float, state: VehicleState, *, stop: bool) -> float:
-        """Give the target speed.
+        """Return the target speed [m/s].
 
         Args:
-            planned: By the drive [m/s].
-            state: Of the car; where a stop is new, braking begins at its speed.
+            planned: Speed of the drive [m/s].
+            state: State of the car; braking begins at its speed.
             stop: Whether a stop is requested.
         """
         step = COMFORTABLE * max(state.stamp_ns - self.at_ns, 0) / NANOSECONDS

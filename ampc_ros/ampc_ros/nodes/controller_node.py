@@ -12,30 +12,36 @@ from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import spin
-from ampc_msgs_config.types import NANOSECONDS, WARN, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, WARN, TickRecord
 from ampc_ros.nodes.configured_node import ConfiguredNode
+from ampc_ros.nodes.managed_node import lifecycle_state
 from ampc_ros.ros import Outputs
-from ampc_ros.supervision.health import Condition, change, condition, health, numbers
-from ampc_ros.supervision.supervisor import Decision
-from ampc_ros.supervision.ticks import Ticks
+from ampc_ros.supervision.health import (
+    Condition,
+    condition,
+    describe_change,
+    health,
+    health_numbers,
+)
+from ampc_ros.supervision.tick_policy import Action, TickPolicy
 
 REPORT_PAUSE = 0.1
-"""Least wall time between two reports of changes [s]."""
+"""Shortest wall time between two reports of changes [s]."""
 
 
 class ControllerNode(ConfiguredNode):
-    """Steers on a timer of the node's clock, or, in lock-step, once for every state."""
+    """Steers on a timer of the node's clock, or in lock-step once for every state."""
 
-    ticks: Ticks
+    policy: TickPolicy
     timer: Timer
 
     def __init__(self) -> None:
-        """Declare everything; then, where it is to start by itself, configure and activate."""
+        """Declare everything; configure and activate where `autostart` is true."""
         super().__init__("controller")
-        self.decision: Decision | None = None
         self.condition = Condition()
         self.reported = -math.inf
-        self.commands_given = 0
+        self.commands = 0
+        """Number of published commands."""
         self.declare_choices()
         self.create_timer(1.0, self.on_diagnostics)
         self.start()
@@ -43,53 +49,53 @@ class ControllerNode(ConfiguredNode):
     def set_up(self) -> None:
         """Load and compile everything; only then publish and subscribe."""
         self.load()
-        self.ticks, self.decision = Ticks(self.supervisor.period), None
+        self.policy = TickPolicy(self.supervisor, lock_step=self.lock_step)
         self.outputs = Outputs(self, lock_step=self.lock_step)
         self.while_configured.callback(self.outputs.destroy)
         self.publish_configuration()
-        self.listen()
+        self.subscribe()
         self.offer_changes()
 
-    def listen(self) -> None:
-        """Subscribe, and offer services."""
+    def subscribe(self) -> None:
+        """Subscribe to all inputs and offer the service `~/reset_stop`."""
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
         inputs = [
             (PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED),
             (Odometry, ros.ODOM, self.on_odometry, qos),
         ]
-        if not self.lock_step:  # where the order of odom and steering_state is nobody's promise
+        if not self.lock_step:  # there, the order of odom and steering_state is undefined
             inputs.append((JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST))
-        leave = self.while_configured.callback
+        release = self.while_configured.callback
         for each in inputs:
-            leave(self.destroy_subscription, self.create_subscription(*each))
+            release(self.destroy_subscription, self.create_subscription(*each))
         reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
-        leave(self.destroy_service, reset_stop)
+        release(self.destroy_service, reset_stop)
 
     def begin(self) -> None:
-        """Begin to steer, from the angle in force; plans of an earlier time are forgotten."""
-        if self.decision:
+        """Start to steer from the angle in force; earlier plans are forgotten."""
+        if self.policy.record:
             self.supervisor.restart()
-        self.ticks.restart()
-        self.supervisor.stop_requested = False
-        self.outputs.stop(False)
+        self.policy.restart_timer()
+        self.supervisor.clear_stop()
+        self.outputs.request_stop(False)
         if not self.lock_step:
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
             self.while_active.callback(self.destroy_timer, self.timer)
         self.get_logger().info("ready")
 
     def finish(self) -> None:
-        """Leave a safe last command where a car drives: the angle is held, a stop asked for."""
+        """Publish a safe last command in real time: the angle is held, a stop is requested."""
         if not self.lock_step:
-            self.outputs.stop(True)
+            self.outputs.request_stop(True)
             self.outputs.hold()
 
     def publish_final(self) -> None:
-        """Do the same at the end of the process."""
+        """Publish the safe last command at the end of the process."""
         if self.is_active:
             self.finish()
 
     def on_path(self, message: PathMessage) -> None:
-        """Take a new path; a bad one is refused and the old one kept.
+        """Use a new path; an invalid one is rejected and the old one kept.
 
         Raises:
             ValueError: In lock-step there is no old one: all nodes would wait for ever.
@@ -103,103 +109,83 @@ class ControllerNode(ConfiguredNode):
                 raise
             self.reject(error)
         if self.lock_step:
-            self.answer_state()
+            self.act(self.policy.on_input())
 
     def on_odometry(self, message: Odometry) -> None:
-        """Take the newest state; a bad one is refused and the old one kept."""
+        """Use the newest state; an invalid one is rejected and the old one kept."""
         try:
-            state = ros.vehicle_state(message)
-            if not (self.lock_step and state.stamp_ns == self.supervisor.newest_ns):
-                self.take(state)
+            restarted = self.policy.take_state(ros.vehicle_state(message), self.now_ns)
         except ValueError as error:
             self.reject(error)
             return
-        if self.lock_step:
-            self.answer_state()
-        elif self.ticks.is_deferred:
-            self.step()
-
-    def take(self, state: VehicleState) -> None:
-        """Give a state to the supervisor; where that starts anew, so does the account of ticks."""
-        resets = self.supervisor.resets
-        self.supervisor.take_state(state, state.stamp_ns if self.lock_step else self.now_ns)
-        if self.supervisor.resets > resets:
+        if restarted:
             self.get_logger().warning("time went backwards, or the car jumped: controller reset")
-            self.ticks.restart()
-            self.decision = None
+        self.act(self.policy.on_input())
 
     def on_steering(self, message: JointState) -> None:
-        """Take the measured angle."""
+        """Use the measured angle."""
         try:
             self.supervisor.take_steering(ros.steering_angle(message).value)
         except ValueError as error:
             self.reject(error)
 
-    def is_answered(self) -> bool:
-        """Whether the newest state has its command."""
-        newest = self.decision.command.stamp_ns if self.decision else None
-        return newest == self.supervisor.newest_ns
-
-    def answer_state(self) -> None:
-        """Answer the newest state; one that was answered before gets the same command again."""
-        if self.is_answered():
-            self.outputs.again()
-        else:
-            self.step()
-
     def on_timer(self) -> None:
-        """Answer the newest state, once; where there is none, the next one is answered at once."""
-        left_out = self.ticks.begin(self.now_ns, self.timer.time_until_next_call())
-        if left_out and self.decision:
-            self.trouble = f"the timer was late: {left_out} ticks left out"
-        if not self.is_answered() or self.supervisor.is_state_late(self.now_ns):
-            self.step()
-        elif self.ticks.defer_to_next_state():
+        """Answer the newest state, or defer the tick to the next one."""
+        missed = self.policy.missed
+        action = self.policy.on_timer(self.now_ns, self.timer.time_until_next_call())
+        if self.policy.left_out and self.policy.record:
+            self.trouble = f"the timer was late: {self.policy.left_out} ticks left out"
+        if action is Action.WAIT and self.policy.missed > missed + self.policy.left_out:
             self.trouble = "no new odom since the last tick"
+        self.act(action)
+
+    def act(self, action: Action) -> None:
+        """Tick, or publish the newest command once more."""
+        if action is Action.TICK:
+            self.step()
+        elif action is Action.REPEAT:
+            self.outputs.repeat()
 
     def step(self) -> None:
-        """Decide, where that is possible, and publish."""
+        """Tick and publish, where inputs, life cycle and recorder allow it."""
         if not self.is_active or not self.supervisor.is_ready or self.unrecorded():
             return
-        self.ticks.is_deferred = False
         start = time.perf_counter()
-        decision = self.supervisor.tick(
-            self.supervisor.newest_ns if self.lock_step else self.now_ns
-        )
-        if decision:
-            timing = time.perf_counter() - start, self.ticks.lateness_ns / NANOSECONDS
-            self.commands_given += 1
-            account = self.rejected, self.ticks.missed, self.commands_given
-            self.outputs.decision(decision, timing, account)
-            self.decision = decision
-            self.tell(decision)
+        record = self.policy.tick(self.now_ns)
+        if record:
+            timing = time.perf_counter() - start, self.policy.lateness_ns / NANOSECONDS
+            self.commands += 1
+            account = self.rejected, self.policy.missed, self.commands
+            self.outputs.publish_tick(record, timing, account)
+            self.report_change(record)
 
-    def tell(self, decision: Decision) -> None:
-        """Ask for a stop where that is new, and report at once what has changed."""
-        self.outputs.stop(self.supervisor.stop_requested)
-        before, now = self.condition, condition(self.supervisor, decision)
+    def report_change(self, record: TickRecord) -> None:
+        """Request a stop where that is new, and report a changed condition at once."""
+        self.outputs.request_stop(self.supervisor.stop_requested)
+        self.trouble = self.supervisor.controller.failure or self.trouble
+        before, now = self.condition, condition(self.supervisor, record)
         if now != before and time.monotonic() - self.reported > REPORT_PAUSE:
             self.condition = now
-            if said := change(before, now):
-                self.get_logger().warning(said)
+            if line := describe_change(before, now):
+                self.get_logger().warning(line)
             self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
-        """Report health, once a second and where it has changed."""
+        """Report health once a second and after a change."""
         self.reported = time.monotonic()
         if not self.is_active:
-            state = self._state_machine.current_state[1]
-            self.report(self.now_ns, f"{state}: no commands are given", {}, WARN)
+            state = lifecycle_state(self)
+            self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
-        level, sentence = health(self.supervisor, self.decision, self.now_ns)
-        account = {"commands": self.commands_given, "missed_ticks": self.ticks.missed}
-        values = account | numbers(self.supervisor, self.decision)
+        level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
+        account = {"commands": self.commands, "missed_ticks": self.policy.missed}
+        values = account | health_numbers(self.supervisor, self.policy.record)
         self.report(self.now_ns, sentence, values, level)
 
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Take the request to stop back."""
-        self.supervisor.stop_requested = False
-        self.outputs.stop(False)
+        """Take back the request to stop."""
+        self.supervisor.clear_stop()
+        self.outputs.request_stop(False)
         response.success, response.message = True, "no stop is requested any more"
         return response
 

@@ -1,8 +1,7 @@
-"""A managed node (ROS 2 life cycle) that nothing leaves half-made, and no request ends."""
+"""A managed node (ROS 2 life cycle) that cleans up after a failed transition and keeps running."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
@@ -14,74 +13,88 @@ SUCCESS, FAILURE, ERROR = (
     TransitionCallbackReturn.FAILURE,
     TransitionCallbackReturn.ERROR,
 )
+ChangeStateCallback = Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response]
+
+
+def lifecycle_state(node: LifecycleNodeMixin) -> str:
+    """Return the label of the life-cycle state; rclpy has no public function for it."""
+    return str(node._state_machine.current_state[1])
+
+
+def wrap_change_state(
+    node: LifecycleNodeMixin, wrap: Callable[[ChangeStateCallback], ChangeStateCallback]
+) -> None:
+    """Wrap the callback of the service `~/change_state`; rclpy has no public function for it."""
+    service = node._service_change_state
+    service.callback = wrap(service.callback)
 
 
 class ManagedNode(BaseNode, LifecycleNodeMixin):
-    """Configures and activates itself, unless told otherwise.
+    """Configures and activates itself unless the parameter `autostart` is false.
 
-    A subclass sets up, begins and finishes. What it makes on the way it notes in `while_configured`
-    or `while_active`, which take it away again, also after a transition that has failed midway.
+    A subclass implements `set_up`, `begin` and `finish`. It registers the release of each resource
+    in `while_configured` or `while_active`, which also run after a failed transition.
     """
 
     def __init__(self, name: str) -> None:
-        """Join the graph, unconfigured; a subclass then declares and calls `start`."""
+        """Create the node, unconfigured; a subclass then declares parameters and calls `start`."""
         BaseNode.__init__(self, name)
         self.is_active = False
-        self.wrong: Exception | None = None
+        self.error: Exception | None = None
         self.while_configured, self.while_active = ExitStack(), ExitStack()
         LifecycleNodeMixin.__init__(self)
-        self._service_change_state.callback = self._refusing(self._service_change_state.callback)
+        wrap_change_state(self, self._reject_impossible)
         self.autostart: bool = declare(self, "autostart", True, "configure and activate at once")
 
     def start(self) -> None:
-        """Configure and activate, where the node is to do so by itself.
+        """Configure and activate where `autostart` is true.
 
         Raises:
-            ValueError: The set-up is wrong.
+            ValueError: The configuration is wrong.
         """
         for trigger in (self.trigger_configure, self.trigger_activate) if self.autostart else ():
             trigger()
-            if self.wrong:
-                raise self.wrong
+            if self.error:
+                raise self.error
         self.autostart = False
 
     def set_up(self) -> None:
         """Load, publish, subscribe.
 
         Raises:
-            ValueError: The set-up is wrong; the node stays unconfigured.
+            ValueError: The configuration is wrong; the node stays unconfigured.
         """
 
     def begin(self) -> None:
-        """Begin to act."""
+        """Start to act."""
 
     def finish(self) -> None:
-        """Say the last words, while all is still there."""
+        """Publish the last messages, before anything is released."""
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Set up; where that is wrong, the node may be configured again."""
+        """Set up; after a ValueError the node can be configured again."""
         return self._attempt(self.set_up, ValueError)
 
     def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to act."""
+        """Start to act."""
         return self._attempt(self._activate)
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Say the last words, and act no more."""
+        """Publish the last messages and stop to act."""
         return self._attempt(self._deactivate)
 
     def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Take away what was set up."""
+        """Release what `set_up` created."""
         return self._attempt(self.while_configured.close)
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Say the last words, and take away everything."""
-        return self._attempt(self._leave)
+        """Publish the last messages and release everything."""
+        return self._attempt(self._release)
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """After a transition that has failed: the same; then the node may be configured again."""
-        wrong, result = self.wrong, self._attempt(self._leave)
-        self.wrong = wrong or self.wrong
+        """Release everything after a failed transition; the node can be configured again."""
+        error, result = self.error, self._attempt(self._release)
+        self.error = error or self.error
         return result
 
     def _activate(self) -> None:
@@ -94,7 +107,7 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
         self.is_active = False
         self.while_active.close()
 
-    def _leave(self) -> None:
+    def _release(self) -> None:
         try:
             self._deactivate()
             self.flush()
@@ -104,25 +117,30 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
             self.while_configured.close()
 
     def _attempt(
-        self, what: Callable[[], None], refusal: type[Exception] | tuple[()] = ()
+        self, action: Callable[[], None], expected: type[Exception] | tuple[()] = ()
     ) -> TransitionCallbackReturn:
-        """Do something; what goes wrong is said in one line, or raised by `start`."""
-        self.wrong = None
+        """Run a transition; an error is logged in one line, or raised by `start`.
+
+        Args:
+            action: Work of the transition.
+            expected: Exception of a wrong configuration, which is a FAILURE and no ERROR.
+        """
+        self.error = None
         try:
-            what()
+            action()
             return SUCCESS
         except Exception as error:
-            self.wrong = error
-            refused = isinstance(error, refusal)
+            self.error = error
+            is_expected = isinstance(error, expected)
             if not self.autostart:
-                kind = "" if refused else f"{type(error).__name__}: "
-                self.get_logger().error(f"{what.__name__.strip('_')}: {kind}{error}")
-            if refused:
+                kind = "" if is_expected else f"{type(error).__name__}: "
+                self.get_logger().error(f"{action.__name__.strip('_')}: {kind}{error}")
+            if is_expected:
                 self.while_configured.close()
-            return FAILURE if refused else ERROR
+            return FAILURE if is_expected else ERROR
 
-    def _refusing(self, change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Refuse a transition that the present state does not have; rclpy would end the node."""
+    def _reject_impossible(self, change: ChangeStateCallback) -> ChangeStateCallback:
+        """Reject a transition that the present state does not have; rclpy would end the node."""
 
         def change_state(
             request: ChangeState.Request, response: ChangeState.Response
@@ -130,9 +148,9 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
             try:
                 return change(request, response)
             except RuntimeError:
-                asked = request.transition.label or f"transition {request.transition.id}"
-                state = self._state_machine.current_state[1]
-                self.get_logger().warning(f"{asked} is not possible while {state}")
+                transition = request.transition.label or f"transition {request.transition.id}"
+                state = lifecycle_state(self)
+                self.get_logger().warning(f"{transition} is not possible while {state}")
                 response.success = False
                 return response
 

@@ -1,7 +1,7 @@
 """Node `planner`: publishes path and target speed of a drive. `ros2 run ampc_ros planner`.
 
-In real time it brakes while a stop is requested. In lock-step it does not: whether a request comes
-before or after the state of the same tick is nobody's promise there, and a drive is to repeat.
+In real time it brakes while a stop is requested. In lock-step it does not: the order of a request
+and the state of the same tick is undefined there, and a drive must be repeatable.
 """
 
 import sys
@@ -20,22 +20,22 @@ from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
 from ampc_ros.nodes.braking import Braking
 
 SILENCE = 0.5
-"""Age of the newest state from which it is reported as stale [s]."""
-BLIND_PERIOD = 0.1
-"""From one target speed to the next while the car is to stop and no state comes [s]."""
+"""Age at which the newest state is reported as stale [s]."""
+BRAKING_PERIOD = 0.1
+"""Time between target speeds while a stop is requested and no state arrives [s]."""
 
 
 class PlannerNode(BaseNode):
-    """Publishes the path once, latched, and answers every state with a target speed."""
+    """Publishes the path once, latched, and a target speed for every state."""
 
     def __init__(self) -> None:
-        """Load the drive; publish its path as soon as the time is known."""
+        """Load the drive; publish its path as soon as the clock runs."""
         super().__init__("planner")
         self.scenario = declare_scenario(self)
         self.plan = SpeedPlanner(self.scenario)
         self.plan.target_speed(VehicleState(0, *self.scenario.start, 0.0, 0.0, 0.0))  # compiles
         self.braking, self.stop_requested = Braking(), False
-        self.answer: TwistStamped | None = None
+        self.newest: TwistStamped | None = None
         self.path_is_out = False
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.speeds = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
@@ -43,22 +43,22 @@ class PlannerNode(BaseNode):
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:
             self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop_request, ros.LATCHED)
-            self.create_timer(BLIND_PERIOD, self.on_blind)
+            self.create_timer(BRAKING_PERIOD, self.on_braking_timer)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
-        told = document({"scenario": scenario_content(self.scenario)})
-        self.configurations.publish(String(data=told))
+        text = document({"scenario": scenario_content(self.scenario)})
+        self.configurations.publish(String(data=text))
         self.create_timer(1.0, self.on_diagnostics)
         if self.now_ns > 0:
             self.publish_path(self.now_ns)
         self.get_logger().info(f"ready: {self.scenario.name}, {self.scenario.duration:g} s")
 
     def publish_path(self, stamp_ns: int) -> None:
-        """Publish the path, which whoever comes late gets too."""
+        """Publish the path, latched."""
         self.paths.publish(ros.path_message(self.scenario.points, stamp_ns))
         self.path_is_out = True
 
     def on_odometry(self, message: Odometry) -> None:
-        """Answer a state; one that was answered before gets the same answer."""
+        """Publish the target speed for a state; the same state again repeats the message."""
         try:
             state = ros.vehicle_state(message)
         except ValueError as error:
@@ -68,51 +68,51 @@ class PlannerNode(BaseNode):
             return
         if not self.path_is_out:
             self.publish_path(state.stamp_ns)
-        self.speeds.publish(self.answer_to(state))
+        self.speeds.publish(self.speed_message(state))
 
-    def answer_to(self, state: VehicleState) -> TwistStamped:
-        """Give the target speed at a state; the drive starts anew where time goes backwards."""
-        answered_ns = -1 if self.answer is None else ros.nanoseconds(self.answer.header.stamp)
-        if self.answer is None or state.stamp_ns < answered_ns:
+    def speed_message(self, state: VehicleState) -> TwistStamped:
+        """Return the target speed for a state; the drive restarts where time goes backwards."""
+        newest_ns = -1 if self.newest is None else ros.nanoseconds(self.newest.header.stamp)
+        if self.newest is None or state.stamp_ns < newest_ns:
             self.plan, self.braking = SpeedPlanner(self.scenario), Braking()
             self.get_logger().info("the drive starts")
-        if state.stamp_ns != answered_ns:
+        if state.stamp_ns != newest_ns:
             planned = self.plan.target_speed(state)
             speed = self.braking.limited(planned, state, stop=self.stop_requested)
-            self.answer = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
-        return self.answer
+            self.newest = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
+        return self.newest
 
-    def on_blind(self) -> None:
-        """Brake on without a state: what was lost may be the reason for the stop."""
-        if not self.stop_requested or self.answer is None:
+    def on_braking_timer(self) -> None:
+        """Continue to brake without a state: its loss may be the reason for the stop."""
+        if not self.stop_requested or self.newest is None:
             return
-        if self.now_ns - ros.nanoseconds(self.answer.header.stamp) <= SILENCE * NANOSECONDS:
+        if self.now_ns - ros.nanoseconds(self.newest.header.stamp) <= SILENCE * NANOSECONDS:
             return
-        speed = self.answer.twist.linear.x
+        speed = self.newest.twist.linear.x
         expected = VehicleState(self.now_ns, 0.0, 0.0, 0.0, speed, 0.0, 0.0)
         slower = self.braking.limited(speed, expected, stop=True)
         self.speeds.publish(ros.speed_message(ros.Stamped(self.now_ns, slower)))
 
     def on_stop_request(self, message: Bool) -> None:
-        """Brake from the next state on, or go on."""
+        """Brake from the next state on, or continue the drive."""
         if message.data != self.stop_requested:
             self.stop_requested = bool(message.data)
-            asked = "a stop is requested: braking" if message.data else "the drive goes on"
-            self.get_logger().warning(asked)
+            text = "a stop is requested: braking" if message.data else "the drive continues"
+            self.get_logger().warning(text)
             self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
-        """Report health, once a second and where a stop is requested or taken back."""
+        """Report health once a second and when a stop is requested or taken back."""
         level, sentence = self.health()
-        speed = self.answer.twist.linear.x if self.answer else 0.0
+        speed = self.newest.twist.linear.x if self.newest else 0.0
         values = {"target_speed": speed, "stop_requested": float(self.stop_requested)}
         self.report(self.now_ns, sentence, values, level)
 
     def health(self) -> tuple[int, str]:
-        """Give level and sentence."""
-        if self.answer is None:
+        """Return level and sentence of the diagnostics."""
+        if self.newest is None:
             return STALE, "waiting for odom"
-        age = (self.now_ns - ros.nanoseconds(self.answer.header.stamp)) / NANOSECONDS
+        age = (self.now_ns - ros.nanoseconds(self.newest.header.stamp)) / NANOSECONDS
         if age > SILENCE:
             return STALE, f"odom is {age:.1f} s old: no target speed is published"
         return (WARN, "a stop is requested: braking") if self.stop_requested else (OK, "")

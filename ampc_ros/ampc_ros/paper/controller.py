@@ -5,7 +5,8 @@ import numpy as np
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import path_frame
-from ampc_msgs_config.types import Array, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import Array, Diagnosis, Plan, VehicleState
+from ampc_ros.controller_interface import Controller
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
 from ampc_ros.mpc.qp_solver import scratch_numbers
@@ -20,8 +21,10 @@ from ampc_ros.paper.tick import (
 )
 
 
-class LateralMpc:
-    """Adaptive MPC of the paper; with a nominal speed, the classic MPC of its comparison."""
+class LateralMpc(Controller):
+    """Adaptive MPC of the paper; with a nominal speed set, the classic MPC it is compared with."""
+
+    formulation = "paper"
 
     def __init__(
         self,
@@ -63,8 +66,8 @@ class LateralMpc:
         """Angle commanded last [rad]."""
         return float(self.memory[STEERING])
 
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Return the command for one state; see `paper_tick`.
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Answer one state; see `paper_tick`.
 
         Args:
             state: State at `base_link`.
@@ -79,8 +82,8 @@ class LateralMpc:
         steering, rate, diagnosis = call_paper_tick(
             self.model_row, table, self.road, tuple(state), self.memory, scratch, angles
         )
-        command = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        return command._replace(plan=angles[: int(command.diagnosis.control_horizon)])
+        answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        return answer._replace(angles=angles[: int(answer.diagnosis.control_horizon)])
 
     def check(self, path: Path) -> None:
         """Check a path as `step` would.

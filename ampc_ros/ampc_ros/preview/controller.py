@@ -6,7 +6,8 @@ import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
-from ampc_msgs_config.types import NANOSECONDS, Array, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
+from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
 from ampc_ros.mpc.qp_solver import scratch_numbers
@@ -27,8 +28,10 @@ from ampc_ros.preview.tick import (
 )
 
 
-class PreviewMpc:
+class PreviewMpc(Controller):
     """Adaptive MPC in path coordinates, the default."""
+
+    formulation = "preview"
 
     def __init__(
         self,
@@ -66,24 +69,29 @@ class PreviewMpc:
         self.path: Path | None = None
         self.last_ns: int | None = None
 
-    def inherit(self, other: "PreviewMpc") -> None:
-        """Take over the estimates of another controller of the same car, for a smooth change.
+    @property
+    def estimates(self) -> Estimates:
+        """Memory of the controller and the stamp of the last answered state."""
+        return Estimates(self.memory, self.last_ns)
 
-        These are the disturbance, which is stored per tick, and the acceleration.
-        """
-        ticks = self.period / other.period
-        self.memory[DISTURBANCE:EXPECTED] = ticks * other.memory[DISTURBANCE:EXPECTED]
+    def inherit(self, other: Controller) -> None:
+        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
+        estimates = other.estimates if other.formulation == self.formulation else None
+        if estimates is None:
+            return
+        ticks, memory = self.period / other.period, estimates.values
+        self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
         for each in (LAST_SPEED, ACCELERATION):
-            self.memory[each] = other.memory[each]
-        self.last_ns = other.last_ns
+            self.memory[each] = memory[each]
+        self.last_ns = estimates.stamp_ns
 
     @property
     def steering(self) -> float:
         """Angle commanded last [rad]."""
         return float(self.memory[-1])
 
-    def step(self, state: VehicleState, path: Path) -> Command:
-        """Return the command for one state; see `preview_tick`.
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Answer one state; see `preview_tick`.
 
         Args:
             state: State at `base_link`.
@@ -98,14 +106,11 @@ class PreviewMpc:
         steering, rate, diagnosis = call_preview_tick(
             self.model_row, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
-        command = Command(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        if math.isnan(command.diagnosis.prediction_horizon):
-            return command
-        H = int(command.diagnosis.prediction_horizon) + self.model.actuator.ticks
-        return command._replace(prediction=points[:H, :2], plan=points[:H, 2])
-
-    def check(self, path: Path) -> None:
-        """Accept any path."""
+        answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        if math.isnan(answer.diagnosis.prediction_horizon):
+            return answer
+        H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
+        return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Continue from an angle that another source commanded; see `Controller`."""

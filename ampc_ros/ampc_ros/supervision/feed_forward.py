@@ -1,7 +1,7 @@
 """Steering without a solver: the road's own angle, and a damped return to the path.
 
-The rung of the ladder below the last plan. It shares the equations of the road with the
-controller, but no programme, no table and no memory beyond the place on the path.
+The level of the fallback chain below the last plan. It shares the equations of the road with the
+controller, but no QP, no gain table and no memory except the position on the path.
 """
 
 import math
@@ -15,24 +15,24 @@ from ampc_ros.mpc.model import MIN_SPEED
 from ampc_ros.preview.model import road_steering
 
 FREQUENCY = 0.8
-"""Natural frequency of the return to the path, critically damped: slow enough for a steering that
-is 0.3 s late [rad/s]."""
+"""Natural frequency of the critically damped return to the path: slow enough for a steering with
+0.3 s of delay [rad/s]."""
 SHORTEST_RETURN = 4.0
-"""Speed over frequency where the car is slow: a return takes a way, however long that lasts [m]."""
+"""Smallest ratio of speed to frequency: a slow car returns over a distance, not in a time [m]."""
 MAX_RETURN = 1.0
-"""Cross-track error from which on the pull does not grow [m]."""
+"""Cross-track error at which the feedback saturates [m]."""
 STEP = 0.1
-"""Time over which the change of the road's curvature is read [s]."""
+"""Time over which the change of the path's curvature is computed [s]."""
 
 
 class FeedForward:
     """Steady-state angle of the path with feedback of cross-track error and its rate."""
 
     def __init__(self, chassis: ChassisParameters, base_link_to_cg: float) -> None:
-        """Know the car.
+        """Create the control law for a car.
 
         Args:
-            chassis: As it is believed to be.
+            chassis: Assumed parameters of the car.
             base_link_to_cg: From the point that `odom` describes forward to the centre of gravity
                 [m].
         """
@@ -41,20 +41,20 @@ class FeedForward:
         self.reset()
 
     def reset(self) -> None:
-        """Forget where on the path the car was."""
+        """Forget the position on the path."""
         self.progress: Progress | None = None
 
     def steering(self, state: VehicleState, path: Path) -> float:
-        """Give the angle for a state at `base_link` [rad].
+        """Return the angle for a state at `base_link` [rad].
 
         The error obeys e_y'' = v^2 (kappa - kappa_path) where the slip angles are steady, so
         kappa = kappa_path - (omega^2 e_y + 2 omega e_y') / v^2 brings it to rest.
 
         Note:
-            e_y' is that of the rear axle. At the centre of gravity it would answer the wheel at
-            once, by l_r r: a loop without delay, unstable below 3 m/s. The heading alone would
-            leave out the slip of the tyres: off by metres in a fast bend, and an understeering car
-            swings at 40 m/s.
+            e_y' is taken at the rear axle. At the centre of gravity it would respond to the wheel
+            immediately, by l_r r: a loop without delay, unstable below 3 m/s. The heading alone
+            would ignore the slip angles: an error of metres in a fast bend, and an understeering
+            car oscillates at 40 m/s.
         """
         car, v = at_distance(state, self.to_cg), max(state.v_x, MIN_SPEED)
         if self.progress is None or self.progress.path is not path:
@@ -68,13 +68,13 @@ class FeedForward:
         return self._road(v, path, s) - pull * (self.chassis.wheelbase / v**2 + gradient)
 
     def _rear_rate(self, car: VehicleState, v: float, path: Path, s: float) -> float:
-        """Rate at which the rear axle leaves the path [m/s]."""
+        """Return the lateral rate of the rear axle relative to the path [m/s]."""
         l_r = self.chassis.cg_to_rear_axle
         course = car.yaw - point_at(path, s - l_r).heading
         return v * math.sin(course) + car.v_y - l_r * car.yaw_rate
 
     def _road(self, v: float, path: Path, s: float) -> float:
-        """Angle that the path asks for [rad]."""
+        """Return the steady-state angle of the path [rad]."""
         now = curvature_between(path, s, s + v * STEP)
         soon = curvature_between(path, s + v * STEP, s + 2 * v * STEP)
         return road_steering(self.vehicle, v, now, (soon - now) / STEP)

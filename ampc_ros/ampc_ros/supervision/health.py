@@ -1,6 +1,6 @@
-"""How a supervised controller is, in one sentence and in numbers; without ROS."""
+"""Health of a supervised controller as a sentence and as numbers; without ROS."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ampc_msgs_config.types import (
     ERROR,
@@ -10,6 +10,7 @@ from ampc_msgs_config.types import (
     OK,
     OPTIMAL,
     REASONS,
+    RECORD_QUANTITIES,
     RUNGS,
     SHIFTED_PLAN,
     STALE,
@@ -17,44 +18,75 @@ from ampc_msgs_config.types import (
     STOP,
     TRACKING,
     WARN,
+    TickRecord,
 )
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
 
 
 class Health(NamedTuple):
-    """A level and why."""
+    """A level of diagnostics and its reason."""
 
     level: int = OK
     sentence: str = ""
 
 
-def health(supervisor: Supervisor, decision: Decision | None, now_ns: int) -> Health:
-    """Give the worst that is to be said now.
+def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> Health:
+    """Return the most severe condition.
 
     Args:
-        supervisor: With its inputs.
-        decision: The newest one, if there is one.
+        supervisor: Supervisor with its inputs.
+        record: Newest tick; None: there was none.
         now_ns: Time of the node's clock [ns].
     """
     if supervisor.state is None:
         return Health(STALE, "waiting for odom")
     if supervisor.path is None:
         return Health(WARN, "waiting for reference_path")
-    silence = max(supervisor.state.ages(now_ns))
-    if silence > supervisor.config.settings.state_lost:
+    silence, config = max(supervisor.state.ages(now_ns)), supervisor.config
+    if silence > config.settings.state_lost:
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
-    said = [
-        _of_path(supervisor, now_ns),
-        *([_of_ladder(decision), _of_guard(decision), _of_place(decision)] if decision else []),
-        _of_table(supervisor, decision),
-    ]
+    conditions = [Health()]
+
+    # The path is too old.
+    age = max(supervisor.path.ages(now_ns))
+    if not config.static_path and age > config.settings.path_lost:
+        text = "a stop is requested; a path that is published once needs static_path = true"
+        conditions.append(Health(ERROR, f"reference_path is {age:.1f} s old: {text}"))
+    elif not config.static_path and age > config.settings.path_late:
+        conditions.append(Health(WARN, f"reference_path is {age:.1f} s old"))
+
+    # The command comes from a fallback, or was clipped, or the mode is not normal.
+    if record:
+        command, diagnosis = record.command, record.command.diagnosis
+        if command.rung != OPTIMAL:
+            stop = ": a stop is requested" if command.rung == STOP else ""
+            text = f"steering by {RUNGS[command.rung]}, reason: {REASONS[command.reason]}{stop}"
+            level = ERROR if command.rung >= FEED_FORWARD else WARN
+            conditions.append(Health(level, f"fallback: {text}"))
+        if command.clipped:
+            text = f"the guard clips the command: {LIMITS[command.clipped]}"
+            conditions.append(Health(WARN, text))
+        if diagnosis.mode > STANDSTILL:
+            conditions.append(Health(WARN, MODES[int(diagnosis.mode)]))
+
+        # The speed, or the lateral reference, lies outside the gain table.
+        axis, v_x = config.gains.get("speed", []), supervisor.state.value.v_x
+        if diagnosis.outside_table and len(axis) > 1:
+            off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
+            text = "lateral reference outside the gain table"
+            if off > 0:
+                text = f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, valid from "
+                text += f"{axis[0]:g} to {axis[-1]:g} m/s"
+            conditions.append(Health(WARN, f"{text}: nearest edge in use"))
+
     if supervisor.stop_requested:
-        said.append(Health(WARN, "a stop has been requested; the service ~/reset_stop ends that"))
-    return max(said, key=lambda each: each.level)
+        text = "a stop is requested; the service ~/reset_stop takes it back"
+        conditions.append(Health(WARN, text))
+    return max(conditions, key=lambda each: each.level)
 
 
 class Condition(NamedTuple):
-    """What is reported as soon as it changes."""
+    """Values that are reported as soon as they change."""
 
     rung: float = OPTIMAL
     reason: float = 0.0
@@ -65,14 +97,14 @@ class Condition(NamedTuple):
     stop_requested: bool = False
 
 
-def condition(supervisor: Supervisor, decision: Decision) -> Condition:
-    """Give the condition after a tick."""
-    told, diagnosis = decision.supervision, decision.command.diagnosis
-    config, age = supervisor.config, max(told.path_age, told.path_silence)
+def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
+    """Return the condition after a tick."""
+    command, diagnosis = record.command, record.command.plan.diagnosis
+    config, age = supervisor.config, max(record.path_age, record.path_silence)
     return Condition(
-        told.rung,
-        told.reason,
-        told.clipped,
+        command.rung,
+        command.reason,
+        command.clipped,
         diagnosis.mode,
         diagnosis.outside_table,
         not config.static_path and age > config.settings.path_late,
@@ -80,70 +112,22 @@ def condition(supervisor: Supervisor, decision: Decision) -> Condition:
     )
 
 
-def change(before: Condition, now: Condition) -> str:
-    """Say what is worth a line of the log; empty: nothing."""
+def describe_change(before: Condition, now: Condition) -> str:
+    """Return the line for the log; empty: the change needs none."""
+    reason = REASONS[int(now.reason)]
     if now.stop_requested and not before.stop_requested:
-        return f"a stop is requested, because of {REASONS[int(now.reason)]}"
+        return f"a stop is requested, reason: {reason}"
     if before[:2] == now[:2] or max(before.rung, now.rung) < SHIFTED_PLAN:
         return ""
     if now.rung < SHIFTED_PLAN:
-        return "steering by the controller's solution again"
-    return f"steering by {RUNGS[int(now.rung)]}, because of {REASONS[int(now.reason)]}"
+        return "fallback ended: steering by the solution of the controller"
+    return f"fallback: steering by {RUNGS[int(now.rung)]}, reason: {reason}"
 
 
-def _of_path(supervisor: Supervisor, now_ns: int) -> Health:
-    assert supervisor.path is not None
-    age, settings = max(supervisor.path.ages(now_ns)), supervisor.config.settings
-    if supervisor.config.static_path or age <= settings.path_late:
-        return Health()
-    if age <= settings.path_lost:
-        return Health(WARN, f"reference_path is {age:.1f} s old")
-    return Health(
-        ERROR,
-        f"reference_path is {age:.1f} s old: a stop is requested; a path that is published once "
-        "needs the parameter static_path = true",
-    )
-
-
-def _of_ladder(decision: Decision) -> Health:
-    rung, reason = int(decision.supervision.rung), REASONS[int(decision.supervision.reason)]
-    if rung == OPTIMAL:
-        return Health()
-    level = ERROR if rung >= FEED_FORWARD else WARN
-    stop = ": a stop is requested" if rung == STOP else ""
-    return Health(level, f"steering by {RUNGS[rung]}, because of {reason}{stop}")
-
-
-def _of_guard(decision: Decision) -> Health:
-    limit = int(decision.supervision.clipped)
-    return Health(WARN, f"the guard clips the command: {LIMITS[limit]}") if limit else Health()
-
-
-def _of_place(decision: Decision) -> Health:
-    mode = int(decision.command.diagnosis.mode)
-    return Health(WARN, MODES[mode]) if mode > STANDSTILL else Health()
-
-
-def _of_table(supervisor: Supervisor, decision: Decision | None) -> Health:
-    """Say how far the speed lies outside what the gains were tuned for."""
-    axis = supervisor.config.gains.get("speed", [])
-    if not decision or not decision.command.diagnosis.outside_table or len(axis) < 2:
-        return Health()
-    assert supervisor.state is not None
-    v_x = supervisor.state.value.v_x
-    off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
-    if off <= 0:
-        return Health(WARN, "lateral reference outside the gain table: nearest edge in use")
-    return Health(
-        WARN,
-        f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, which holds from {axis[0]:g} to "
-        f"{axis[-1]:g} m/s: nearest edge in use",
-    )
-
-
-def numbers(supervisor: Supervisor, decision: Decision | None) -> dict[str, float]:
-    """Give what is worth a number: the newest tick, and all counts since the start."""
-    values: dict[str, Any] = decision.supervision._asdict() if decision else {}
-    clips = {f"clipped_{limit}": count for limit, count in supervisor.guard.count.items()}
-    refused = {f"rejected_{cause}": n for cause, n in supervisor.filter.rejected.items() if n}
-    return {**values, **{key: n for key, n in clips.items() if n}, **refused}
+def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[str, float]:
+    """Return the quantities of the newest tick, and all counts since the start."""
+    quantities = record.quantities if record else ()
+    values = dict(zip(RECORD_QUANTITIES, quantities, strict=False))
+    clips = {f"clipped_{limit}": n for limit, n in supervisor.clips.items() if n}
+    rejected = {f"rejected_{cause}": n for cause, n in supervisor.rejected.items() if n}
+    return {**values, **clips, **rejected}

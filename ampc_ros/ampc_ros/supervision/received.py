@@ -1,4 +1,4 @@
-"""An input with the times that belong to it, and how old it is."""
+"""An input with its stamp and arrival time."""
 
 from typing import Generic, NamedTuple, TypeVar
 
@@ -8,27 +8,27 @@ T = TypeVar("T")
 
 
 class Ages(NamedTuple):
-    """How old an input is."""
+    """Age of an input by both of its times."""
 
     age: float
-    """Since its stamp [s]."""
+    """Time since its stamp [s]."""
     silence: float
-    """Since its arrival [s]."""
+    """Time since its arrival [s]."""
 
 
 class Received(NamedTuple, Generic[T]):
-    """An input, the time to which it belongs, and when it came in."""
+    """An input, its stamp and its arrival time."""
 
     value: T
     stamp_ns: int
     arrival_ns: int
 
     def ages(self, now_ns: int) -> Ages:
-        """Give how old it is by both times."""
+        """Return the age by both times."""
         return Ages(
             (now_ns - self.stamp_ns) / NANOSECONDS, (now_ns - self.arrival_ns) / NANOSECONDS
         )
 
     def is_older(self, now_ns: int, limit: float) -> bool:
-        """Whether it is older than a limit [s], by either time."""
+        """Return whether it is older than a limit [s] by either time."""
         return max(self.ages(now_ns)) > limit

@@ -27,7 +27,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, read
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
-from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
 
 PERIOD_NS = NANOSECONDS // 10
 ODOM_NS = NANOSECONDS // 50
@@ -120,7 +120,7 @@ def ticked(stamp_ns: int, rng: np.random.Generator) -> dict[str, Any]:
     steering = steering_at(stamp_ns / NANOSECONDS)
     return {
         ros.TARGET_SPEED: ros.speed_message(ros.Stamped(stamp_ns, SPEED)),
-        ros.STEERING_COMMAND: ros.steering_message(Command(stamp_ns, steering, 0.0, Diagnosis())),
+        ros.STEERING_COMMAND: ros.steering_message(Plan(stamp_ns, steering, 0.0, Diagnosis())),
         ros.TICK: tick_message(stamp_ns, rng),
         **{f"controller/debug/{name}": Float64() for name in ros.DEBUG_QUANTITIES},
     }

@@ -27,7 +27,7 @@ from ampc_msgs_config.validation import check_range, number
 from ampc_ros.supervision.guard import LONGEST_PAUSE, Guard, bounds
 from launch_scripts.faults.schedule import SEED, Fault
 from tests.workshop.acceptance.trials import DATA, LIMITS
-from tests.workshop.fault_matrix.fault_loop import FaultyDrive, Tick
+from tests.workshop.fault_matrix.fault_loop import CommandedTick, FaultyDrive
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT
 from tests.workshop.fault_matrix.inject_cells import Bench, Conditions
 
@@ -126,20 +126,22 @@ def endure(drive: FaultyDrive, pieces: Iterable[int]) -> list[Minute]:
     minutes, last = [], 0.0
     for piece in pieces:
         drive.run((piece + 1) * PIECE)
-        guard, ticks = drive.supervisor.guard, drive.told
+        supervisor, ticks = drive.supervisor, drive.ticks
+        config = supervisor.config
+        guard = Guard(config.guard, config.chassis, supervisor.period)
         outside = 0
         for tick in ticks:
             outside += not is_inside(tick, guard, last)
-            last = tick.decision.command.steering
-        below = sum(tick.decision.supervision.rung > 0 for tick in ticks)
-        error = max(abs(seen[1]) for seen in drive.seen)
+            last = tick.record.command.steering
+        below = sum(tick.record.command.rung > 0 for tick in ticks)
+        error = max(abs(seen[1]) for seen in drive.samples)
         minutes.append(Minute(resident(), error, len(ticks), outside, below))
-        drive.seen.clear()
-        drive.told.clear()
+        drive.samples.clear()
+        drive.ticks.clear()
     return minutes
 
 
-def is_inside(tick: Tick, guard: Guard, last: float) -> bool:
+def is_inside(tick: CommandedTick, guard: Guard, last: float) -> bool:
     """Whether a command is finite, no farther than any angle allowed, and no faster than allowed.
 
     Args:
@@ -147,7 +149,7 @@ def is_inside(tick: Tick, guard: Guard, last: float) -> bool:
         guard: Whose limits hold.
         last: Command before it [rad].
     """
-    angle = tick.decision.command.steering
+    angle = tick.record.command.steering
     bound = bounds(guard.limits, guard.chassis, tick.v_x)
     turn = min(bound.rate, bound.jerk) * guard.period * LONGEST_PAUSE
     inside = abs(angle) <= max(guard.limits.max_angle) and abs(angle - last) <= turn + TOLERANCE
@@ -162,7 +164,7 @@ def drive_for(duration: float, file: Path, conditions: Conditions, console: Cons
     pieces = range(round(duration / PIECE))
     minutes = endure(drive, track(pieces, "minutes", console=console))
     expected = round(duration / drive.supervisor.period)
-    drive.seen.append((0.0, 0.0, 0.0, 0.0))
+    drive.samples.append((0.0, 0.0, 0.0, 0.0))
     log = drive.log()
     return Account(minutes, len(faults), log.rejected.total(), log.missed, expected)
 

@@ -152,8 +152,8 @@ def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
     error, free = np.abs(log.error[since]), np.abs(course.free.error[since])
     gone = ~(error <= LOST)
     ticks = [tick for tick in log.ticks if tick.time >= fault.start]
-    told = [tick.decision.supervision for tick in ticks]
-    rungs = Counter(RUNGS[int(each.rung)] for each in told)
+    records = [tick.record for tick in ticks]
+    rungs = Counter(RUNGS[each.command.rung] for each in records)
     period = log.ticks[1].time - log.ticks[0].time
     return Cell(
         name,
@@ -163,12 +163,12 @@ def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
         recovery(log, course.free, fault.start + fault.duration),
         float(log.time[since][np.argmax(gone)]) if gone.any() else math.nan,
         {rung: round(rungs[rung] * period, 6) for rung in RUNGS},
-        tuple(sorted({REASONS[int(each.reason)] for each in told} - {"none"})),
+        tuple(sorted({REASONS[each.command.reason] for each in records} - {"none"})),
         dict(sorted(log.rejected.items())),
         dict(sorted(log.clips.items())),
-        int(told[-1].resets),
+        int(records[-1].resets),
         log.missed,
-        bool(told[-1].stop_requested),
+        bool(records[-1].stop_requested),
         allowed_reason(name, course.scenario.name),
     )
 
@@ -177,7 +177,7 @@ def recovery(log: Log, free: Log, end: float) -> float:
     """Give the time from the end of a fault until all is well for good; nan: it is not [s]."""
     moves = log.speed > STANDING
     bad = moves & ~(np.abs(log.error) <= np.maximum(NEAR, np.abs(free.error) + EXTRA))
-    low = [tick.time for tick in log.ticks if tick.decision.supervision.rung != OPTIMAL]
+    low = [tick.time for tick in log.ticks if tick.record.command.rung != OPTIMAL]
     last = max([*log.time[bad].tolist(), *low, end])
     return math.nan if last > float(log.time[-1]) - SETTLED else after(last, end)
 

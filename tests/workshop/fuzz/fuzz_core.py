@@ -1,4 +1,4 @@
-"""The node's core as what inputs are thrown at: its supervisor, under changing configurations."""
+"""Fuzzing of the node's core: supervisor and tick policy under changing configurations."""
 
 import math
 from collections import Counter
@@ -8,38 +8,50 @@ from functools import cache
 
 import numpy as np
 
-from ampc_msgs_config.types import LIMITS, OPTIMAL, REASONS, RUNGS, SLACK
+from ampc_msgs_config.types import (
+    LIMITS,
+    NANOSECONDS,
+    OPTIMAL,
+    REASONS,
+    RUNGS,
+    SLACK,
+    Command,
+    TickRecord,
+    VehicleState,
+)
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
 from ampc_ros.supervision.guard import bounds
-from ampc_ros.supervision.supervisor import Decision, Supervisor
+from ampc_ros.supervision.supervisor import Supervisor
+from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from tests.workshop.fuzz.fuzz_guard import Violation
 from tests.workshop.fuzz.fuzz_road import CALM, STAMPS, Road
 
 KINDS = {
     "state": 0.44,
-    "tick": 0.44,
+    "tick": 0.34,
+    "timer": 0.10,
     "steering": 0.08,
     "path": 0.035,
     "fault": 0.004,
     "configuration": 0.001,
 }
-"""Shares of the inputs."""
+"""Shares of the inputs; `tick` is a tick whenever, `timer` one by the tick policy."""
 CALM_AFTER = 1000
-"""Inputs from one check of the recovery to the next."""
+"""Number of inputs between checks of the recovery."""
 ROUNDING = 1e-12
-"""Share by which a step may be larger than its bound."""
+"""Relative rounding error of a step's bound."""
 ENOUGH_SWEEPS = 38
-"""With fewer, or with a soft lane, Hildreth's method may give up whatever comes in."""
+"""With fewer, or with a soft lane, Hildreth's method may not converge for any input."""
 
 
 @cache
 def shipped(controller: str, vehicle: str, guard: str) -> Configuration:
-    """Read a configuration once."""
+    """Load a configuration once."""
     return configuration(Choices(controller, vehicle, guard=guard))
 
 
 def any_configuration(rng: np.random.Generator) -> Configuration:
-    """Give one of all controllers, vehicles, guards, solvers, actuators."""
+    """Return a random combination of controllers, vehicles, guards, solvers, actuators."""
     config = shipped(
         str(rng.choice(list(CONTROLLERS))),
         str(rng.choice(["paper", "ordinary"])),
@@ -68,72 +80,87 @@ def any_configuration(rng: np.random.Generator) -> Configuration:
 
 
 class Core:
-    """The supervisor under any configuration, and what is expected of each decision."""
+    """The supervisor under any configuration, and the checks of each tick."""
 
     def __init__(self, road: Road) -> None:
-        """Start with any configuration."""
+        """Start with a random configuration."""
         self.road = road
         self.supervisor = Supervisor(any_configuration(road.rng))
+        self.policy = TickPolicy(self.supervisor)
         self.was_requested = False
         self.done: Counter[str] = Counter()
 
     def throw(self, kind: str) -> None:
-        """Throw one input of a kind.
+        """Pass one input of a kind to the core.
 
         Raises:
-            ValueError: It is refused.
+            ValueError: It is rejected.
         """
         road, supervisor, now_ns = self.road, self.supervisor, self.road.time()
         if kind == "state":
-            supervisor.take_state(road.odom(), now_ns)
+            self.take_state(road.odom(), now_ns)
         elif kind == "steering":
             supervisor.take_steering(road.number(supervisor.steering, 0.05))
         elif kind == "path":
             stamp_ns = now_ns if road.rng.random() < 0.9 else int(road.rng.choice(STAMPS))
             supervisor.take_path(road.road(), stamp_ns, now_ns)
         elif kind == "fault":
-            supervisor.ladder.qp_fault = road.rng.random() < 0.3
+            supervisor.inject_qp_fault(bool(road.rng.random() < 0.3))
         elif kind == "configuration":
             supervisor.reconfigure(any_configuration(road.rng))
+        elif kind == "timer":
+            period_ns = round(supervisor.period * NANOSECONDS)
+            if self.policy.on_timer(now_ns, period_ns) is Action.TICK:
+                self.tick(now_ns)
         else:
             self.tick(now_ns)
 
-    def tick(self, now_ns: int) -> Decision | None:
-        """Tick, and check what is decided; a ValueError is no refusal here."""
+    def take_state(self, state: VehicleState, now_ns: int) -> None:
+        """Pass a state to the core, which may answer it at once.
+
+        Raises:
+            ValueError: It is rejected.
+        """
+        self.policy.take_state(state, now_ns)
+        if self.policy.on_input() is Action.TICK:
+            self.tick(now_ns)
+
+    def tick(self, now_ns: int) -> TickRecord | None:
+        """Tick, and check the result; a ValueError is a Violation here."""
         last = self.supervisor.steering
         try:
-            decision = self.supervisor.tick(now_ns)
+            record = self.policy.tick(now_ns)
         except ValueError as error:
             raise Violation(f"a tick raises {error!r}") from error
-        if decision is None:
+        if record is None:
             if self.supervisor.is_ready:
                 raise Violation("no command in spite of state and path")
             return None
-        self.check(decision, last)
+        self.check(record, last)
         self.road.steer(self.supervisor.steering, self.supervisor.config.chassis.wheelbase)
-        return decision
+        return record
 
-    def check(self, decision: Decision, last: float) -> None:
-        """Raise a Violation unless a decision keeps what is promised."""
-        command, told = decision
-        check_finite(decision)
+    def check(self, record: TickRecord, last: float) -> None:
+        """Raise a Violation unless a tick keeps its guarantees."""
+        command = record.command
+        check_finite(command)
         for name, value, names in (
-            ("rung", told.rung, RUNGS),
-            ("reason", told.reason, REASONS),
-            ("clipped", told.clipped, LIMITS),
+            ("rung", command.rung, RUNGS),
+            ("reason", command.reason, REASONS),
+            ("clipped", command.clipped, LIMITS),
         ):
             if value not in range(len(names)):
                 raise Violation(f"{name} = {value!r}")
             self.done[f"{name} {names[int(value)]}"] += 1
-        if command.steering != told.steering or command.steering != self.supervisor.steering:
-            raise Violation(f"{command.steering!r} is commanded, {told.steering!r} is told")
+        if command.steering != self.supervisor.steering:
+            raise Violation(f"{command.steering!r} is not {self.supervisor.steering!r}")
         self.check_limits(command.steering, command.steering_rate, last)
         if self.was_requested > self.supervisor.stop_requested:
-            raise Violation("the request to stop is forgotten")
+            raise Violation("the request to stop was lost")
         self.was_requested = self.supervisor.stop_requested
 
     def check_limits(self, steering: float, rate: float, last: float) -> None:
-        """Raise a Violation where a command is beyond the guard's limits at the speed."""
+        """Raise a Violation where a command exceeds the limits of the guard at the speed."""
         supervisor = self.supervisor
         assert supervisor.state is not None
         v_x, guard = supervisor.state.value.v_x, supervisor.config.guard
@@ -148,19 +175,19 @@ class Core:
             raise Violation(f"step from {last!r} to {steering!r} is beyond {step!r}")
 
     def recover(self) -> None:
-        """Raise a Violation unless calm inputs lead back to the controller's solution."""
-        supervisor, decision, refused = self.supervisor, None, ""
-        supervisor.ladder.qp_fault = False
+        """Raise a Violation unless inputs without faults lead back to the solution."""
+        supervisor, record, rejected = self.supervisor, None, ""
+        supervisor.inject_qp_fault(False)
         for state, points in self.road.calm(supervisor.period):
             try:
-                supervisor.take_state(state, state.stamp_ns)
+                self.policy.take_state(state, state.stamp_ns)
                 supervisor.take_path(points, state.stamp_ns, state.stamp_ns)
             except ValueError as error:
-                refused = str(error)
-            decision = self.tick(state.stamp_ns)
-        rung = decision.supervision.rung if decision else -1
+                rejected = str(error)
+            record = self.tick(state.stamp_ns)
+        command = record.command if record else None
+        rung = command.rung if command else -1
         settings = supervisor.config.settings
-        told = decision.supervision if decision else None
         few = settings.hildreth_sweeps < ENOUGH_SWEEPS
         lane = math.isfinite(settings.max_output_error)
         if 0 <= rung <= (SLACK if lane else OPTIMAL):
@@ -168,29 +195,30 @@ class Core:
         elif rung >= 0 and settings.solver == "hildreth" and (lane or few):
             self.done["not recovered: too few sweeps"] += 1
         else:
-            raise Violation(f"after {CALM:g} s without faults: {told}; refused last: {refused}")
+            raise Violation(
+                f"after {CALM:g} s without faults: {command}; rejected last: {rejected}"
+            )
 
 
-def check_finite(decision: Decision) -> None:
-    """Raise a Violation where what would be published is not finite."""
-    command = decision.command
+def check_finite(command: Command) -> None:
+    """Raise a Violation where a published number is not finite."""
     if not (math.isfinite(command.steering) and math.isfinite(command.steering_rate)):
         raise Violation(f"command {command.steering!r}, {command.steering_rate!r} is not finite")
-    if not math.isfinite(decision.supervision.planned_steering):
+    if not math.isfinite(command.planned_steering):
         raise Violation("the planned angle is not finite")
-    for name, values in (("plan", command.plan), ("prediction", command.prediction)):
+    for name, values in (("plan", command.plan.angles), ("prediction", command.plan.prediction)):
         if values is not None and not np.isfinite(values).all():
             raise Violation(f"the {name} is not finite")
 
 
 def throw_all(core: Core, kinds: Sequence[str], throw: Callable[[str], None]) -> Counter[str]:
-    """Throw inputs of these kinds, and see now and then whether the core recovers.
+    """Pass inputs of these kinds to the core, and check now and then whether it recovers.
 
     Returns:
-        How many inputs, refusals, rungs, reasons, and clipped commands of each kind.
+        Numbers of inputs, rejections, rungs, reasons, and clipped commands of each kind.
 
     Raises:
-        Violation: Tells the number of the input.
+        Violation: With the number of the input.
     """
     for number, kind in enumerate(kinds):
         try:
@@ -206,18 +234,18 @@ def throw_all(core: Core, kinds: Sequence[str], throw: Callable[[str], None]) ->
                 core.recover()
             except Exception as error:
                 raise Violation(f"after input {number}: {error!r}") from error
-    refused = core.supervisor.filter.rejected.items()
-    core.done.update({f"state {cause}": n for cause, n in refused if n})
+    rejected = core.supervisor.rejected.items()
+    core.done.update({f"state {cause}": n for cause, n in rejected if n})
     return core.done
 
 
 def core_drive(seed: int, drive: int, count: int) -> Counter[str]:
-    """Throw inputs at the core in one drive; see `throw_all`.
+    """Pass inputs to the core in one drive; see `throw_all`.
 
     Args:
-        seed: Of all drives.
-        drive: Number of this one; both together give its inputs.
-        count: Of inputs.
+        seed: Seed of all drives.
+        drive: Number of this drive; both determine its inputs.
+        count: Number of inputs.
     """
     core = Core(Road([seed, drive]))
     kinds = core.road.rng.choice(list(KINDS), p=list(KINDS.values()), size=count)

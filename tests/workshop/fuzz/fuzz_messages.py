@@ -38,7 +38,7 @@ class Messages:
             state = ros.vehicle_state(self.odometry())
             if not all(map(math.isfinite, state)):
                 raise Violation(f"{state} was unpacked")
-            supervisor.take_state(state, now_ns)
+            self.core.take_state(state, now_ns)
         elif kind == "path":
             message = self.path()
             stamp_ns = ros.nanoseconds(message.header.stamp)

@@ -18,14 +18,15 @@ from ampc_msgs_config.types import (
     SHIFTED_PLAN,
     SLACK,
     STOP,
-    Command,
     Diagnosis,
+    Plan,
     VehicleState,
 )
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.controller import build_controller
+from ampc_ros.controller_interface import Controller
 from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW
-from ampc_ros.supervision.ladder import (
+from ampc_ros.supervision.fallback import (
     AGAINST_PATH,
     BACKWARDS,
     MIN_SLACK,
@@ -38,7 +39,7 @@ from ampc_ros.supervision.ladder import (
     STATE_LATE,
     STATE_LOST,
     STOP_RATE,
-    Ladder,
+    FallbackChain,
     refusal,
 )
 from ampc_ros.supervision.received import Received
@@ -56,22 +57,21 @@ every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 both_cars = pytest.mark.parametrize("car", ["paper", "ordinary"])
 
 
-class Scripted:
+class Scripted(Controller):
     """A controller that says what a test puts into its mouth."""
+
+    steering = 0.0
 
     def __init__(self, period: float = 0.1) -> None:
         """Solve everything."""
         self.period, self.steering = period, 0.0
-        self.says = Command(0, 0.01, 0.0, SOLVED, plan=PLAN)
+        self.says = Plan(0, 0.01, 0.0, SOLVED, angles=PLAN)
         self.resets: list[float] = []
 
-    def step(self, state: VehicleState, path: Path) -> Command:
+    def step(self, state: VehicleState, path: Path) -> Plan:
         """Say it."""
         self.steering = self.says.steering
         return self.says._replace(stamp_ns=state.stamp_ns)
-
-    def check(self, path: Path) -> None:
-        """Take any path."""
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Go on from there."""
@@ -82,10 +82,10 @@ class Scripted:
         self.resets.append(steering)
 
 
-def scripted(period: float = 0.1) -> tuple[Ladder, Scripted]:
+def scripted(period: float = 0.1) -> tuple[FallbackChain, Scripted]:
     """Give a ladder, and the controller on top of it."""
     controller = Scripted(period)
-    return Ladder(made_for(), controller), controller
+    return FallbackChain(made_for(), controller), controller
 
 
 def at(now_ns: int, v_x: float = 9.0, y: float = 0.0, yaw: float = 0.0) -> VehicleState:
@@ -113,7 +113,7 @@ def added(trial: Trial, faulty: Run, controller: str = "preview", **choices: str
 def test_solution_stands_on_top() -> None:
     ladder, _ = scripted()
     answer = ladder.answer(at(0), ROAD, 0.0, 0)
-    assert (answer.rung, answer.reason, answer.stepped) == (OPTIMAL, NO_REASON, True)
+    assert (answer.rung, answer.reason) == (OPTIMAL, NO_REASON)
     assert answer.steering == 0.01
 
 
@@ -143,8 +143,7 @@ def test_plan_holds_for_its_time_and_not_a_tick_longer(rate: int) -> None:
         controller.says = controller.says._replace(diagnosis=FAILED)
         answer = ladder.answer(at(ns(since)), ROAD, 0.01, ns(since))
         reason = QP_NOT_SOLVED if rung == SHIFTED_PLAN else PLAN_USED_UP
-        assert (answer.rung, answer.reason, answer.stepped) == (rung, reason, rung != SHIFTED_PLAN
-                                                                or True)  # fmt: skip
+        assert (answer.rung, answer.reason) == (rung, reason)
 
 
 @every_rate
@@ -155,33 +154,33 @@ def test_plan_goes_by_time_however_many_ticks_commanded(rate: int) -> None:
         ladder.answer(at(0), ROAD, 0.0, 0)
         for late in (-0.4, 0.0, 0.4):
             now_ns = ns((ticks + late) * period)
-            answer = ladder.go_on(STATE_LATE, 0.01, now_ns)
+            answer = ladder.advance(STATE_LATE, 0.01, now_ns)
             assert answer.steering == PLAN[ticks]
-            assert (answer.rung, answer.reason, answer.stepped) == (SHIFTED_PLAN, STATE_LATE, False)
+            assert (answer.rung, answer.reason) == (SHIFTED_PLAN, STATE_LATE)
 
 
 def test_end_of_a_short_plan_is_held() -> None:
     ladder, controller = scripted()
-    controller.says = controller.says._replace(plan=PLAN[:3])
+    controller.says = controller.says._replace(angles=PLAN[:3])
     ladder.answer(at(0), ROAD, 0.0, 0)
-    angles = [ladder.go_on(STATE_LATE, 0.0, ns(0.1 * k)).steering for k in range(6)]
+    angles = [ladder.advance(STATE_LATE, 0.0, ns(0.1 * k)).steering for k in range(6)]
     assert angles == [0.01, 0.02, 0.03, 0.03, 0.03, 0.03]
 
 
 def test_controller_without_a_plan_holds_its_angle() -> None:
     ladder, controller = scripted()
-    controller.says = controller.says._replace(plan=None, steering=0.2)
+    controller.says = controller.says._replace(angles=None, steering=0.2)
     ladder.answer(at(0), ROAD, 0.0, 0)
-    assert ladder.go_on(STATE_LATE, 0.2, ns(0.3)).steering == 0.2
+    assert ladder.advance(STATE_LATE, 0.2, ns(0.3)).steering == 0.2
 
 
 def test_late_state_without_a_plan_leads_to_the_stop() -> None:
     ladder, controller = scripted()
-    assert ladder.go_on(STATE_LATE, 0.0, ns(0.3)).rung == STOP
+    assert ladder.advance(STATE_LATE, 0.0, ns(0.3)).rung == STOP
     ladder.answer(at(0), ROAD, 0.0, 0)
     controller.says = controller.says._replace(diagnosis=FAILED)
     assert ladder.answer(at(ns(2.0)), ROAD, 0.0, ns(2.0)).rung == FEED_FORWARD
-    answer = ladder.go_on(STATE_LATE, 0.0, ns(2.3))
+    answer = ladder.advance(STATE_LATE, 0.0, ns(2.3))
     assert (answer.rung, answer.reason) == (STOP, STATE_LATE)
 
 
@@ -205,12 +204,12 @@ def test_standing_car_does_not_turn_its_wheel_on_the_rung_of_the_feed_forward() 
 @pytest.mark.parametrize("in_force", [-0.5, 0.0, 0.005, 0.01, 0.5])
 def test_stop_turns_the_wheel_to_the_planned_angle_at_a_bounded_rate(in_force: float) -> None:
     ladder, controller = scripted()
-    controller.says = controller.says._replace(plan=None)
+    controller.says = controller.says._replace(angles=None)
     ladder.answer(at(0), ROAD, 0.0, 0)
     angle, step = in_force, STOP_RATE * 0.1
     for k in range(60):
         answer = ladder.stop(STATE_LOST, angle, ns(1.0 + 0.1 * k))
-        assert (answer.rung, answer.reason, answer.stepped) == (STOP, STATE_LOST, False)
+        assert (answer.rung, answer.reason) == (STOP, STATE_LOST)
         assert abs(answer.steering - angle) <= step * (1 + 1e-12)
         angle = answer.steering
     assert angle == 0.01
@@ -262,9 +261,9 @@ def test_every_controller_is_stopped_where_it_cannot_steer(name: str) -> None:
         (OFF_PATH, at(NANOSECONDS, y=MAX_PROJECTION_DISTANCE + 1.0)),
     ):
         config = made_for("paper", name)
-        ladder = Ladder(config, build_controller(config))
+        ladder = FallbackChain(config, build_controller(config))
         answer = ladder.answer(state, ROAD, 0.1, NANOSECONDS)
-        assert (answer.rung, answer.reason, answer.stepped) == (STOP, reason, True)
+        assert (answer.rung, answer.reason) == (STOP, reason)
         assert answer.steering == pytest.approx(0.1 - STOP_RATE * 0.1)
 
 
@@ -273,14 +272,14 @@ def test_angle_that_is_no_number_is_not_used_and_the_next_good_state_is_answered
     name: str,
 ) -> None:
     config = made_for("paper", name)
-    ladder, fresh = (Ladder(config, build_controller(config)) for _ in range(2))
+    ladder, fresh = (FallbackChain(config, build_controller(config)) for _ in range(2))
     ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
     in_force = ladder.controller.steering
     answer = ladder.answer(at(ns(0.1), y=math.nan), ROAD, in_force, ns(0.1))
     assert answer.rung in (SHIFTED_PLAN, OPTIMAL)
     if answer.rung == SHIFTED_PLAN:
         assert answer.reason == QP_NOT_SOLVED
-        assert answer.command.diagnosis.converged == 0.0
+        assert answer.plan.diagnosis.converged == 0.0
         fresh.controller.reset(in_force)
     assert math.isfinite(answer.steering)
     good = at(ns(0.2), y=0.3)
@@ -295,11 +294,11 @@ def test_angle_that_is_no_number_is_not_used_and_the_next_good_state_is_answered
 def test_what_is_no_number_is_neither_used_nor_told(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ladder = Ladder(config := made_for(), build_controller(config))
+    ladder = FallbackChain(config := made_for(), build_controller(config))
     ladder.answer(at(0, y=0.3), ROAD, 0.0, 0)
     good = ladder.controller.step(at(ns(0.1), y=0.3), ROAD)
     bad = {
-        "plan": good._replace(plan=np.array([math.nan])),
+        "plan": good._replace(angles=np.array([math.nan])),
         "prediction": good._replace(prediction=np.array([[0.0, math.nan]])),
         "steering": good._replace(steering=math.nan),
     }[what]
@@ -307,8 +306,8 @@ def test_what_is_no_number_is_neither_used_nor_told(
     answer = ladder.answer(at(ns(0.1), y=0.3), ROAD, 0.0, ns(0.1))
     assert (answer.rung, answer.reason) == (SHIFTED_PLAN, QP_NOT_SOLVED)
     assert math.isfinite(answer.steering)
-    assert answer.command.plan is None
-    assert answer.command.prediction is None
+    assert answer.plan.angles is None
+    assert answer.plan.prediction is None
 
 
 def test_soft_lane_that_is_left_is_told_as_slack() -> None:
@@ -316,7 +315,7 @@ def test_soft_lane_that_is_left_is_told_as_slack() -> None:
     narrow = config._replace(settings=replace(config.settings, max_output_error=0.2))
     run = supervised(Trial("straight", speed=9.0, offset=1.5), narrow)
     assert run.rungs[0] == SLACK
-    assert run.told[0].reason == SLACK_IN_USE
+    assert run.records[0].command.reason == SLACK_IN_USE
     assert run.rungs[-1] == OPTIMAL
     assert set(run.rungs) == {OPTIMAL, SLACK}
 
@@ -362,12 +361,20 @@ def test_lost_state_goes_by_plan_then_to_the_stop_at_each_rate(rate: int) -> Non
     trial, config = Trial("sc1", speed=9.0), made_for("paper", "preview", **HZ[rate])
     run = supervised(trial, config, blind=between(4.0, 5.0))
     last = 4.0 - 1.0 / rate
-    late = [t for t, told in zip(run.times, run.told, strict=True) if told.reason == STATE_LATE]
-    lost = [t for t, told in zip(run.times, run.told, strict=True) if told.reason == STATE_LOST]
+    late = [
+        t
+        for t, told in zip(run.times, run.records, strict=True)
+        if told.command.reason == STATE_LATE
+    ]
+    lost = [
+        t
+        for t, told in zip(run.times, run.records, strict=True)
+        if told.command.reason == STATE_LOST
+    ]
     assert last + 0.2 < late[0] <= last + 0.2 + 1.01 / rate
     assert last + 0.5 < lost[0] <= last + 0.5 + 1.01 / rate
     assert lost[-1] == pytest.approx(5.0 - 1.0 / rate)
-    assert run.told[-1].stop_requested == 1.0
+    assert run.records[-1].stop_requested == 1.0
     assert added(trial, run, "preview", **HZ[rate]) < 0.2
 
 
@@ -432,15 +439,17 @@ def climb(
     told: list[tuple[float, float, float]] = []
     for k, fault in enumerate(["none", *faults, "none"]):
         now_ns = NANOSECONDS + ns(0.1 * k)
-        supervisor.ladder.qp_fault = fault == "qp"
+        supervisor.inject_qp_fault(fault == "qp")
         away = MAX_PROJECTION_DISTANCE + 10.0 if fault == "off" else 0.0
         state = VehicleState(
             now_ns, 20.0 + 0.1 * v_x * k, side * (y + away), side * yaw, v_x, 0.0, 0.0
         )
-        supervisor.state = received(state, {"late": 0.3, "lost": 0.6}.get(fault, 0.0))
+        age = {"late": 0.3, "lost": 0.6}.get(fault, 0.0)
+        supervisor.replay_state(received(state, age), supervisor.resets)
         decision = supervisor.tick(now_ns)
         assert decision is not None
-        told.append((*decision.supervision[2:4], decision.supervision.steering))
+        command = decision.command
+        told.append((command.rung, command.reason, command.steering))
     return told
 
 

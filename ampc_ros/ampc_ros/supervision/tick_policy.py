@@ -1,0 +1,110 @@
+"""When a controller ticks: on a timer in real time, or once per state in lock-step; without ROS."""
+
+from enum import Enum
+
+from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
+from ampc_ros.supervision.supervisor import Supervisor
+
+
+class Action(Enum):
+    """What an input or the timer calls for."""
+
+    WAIT = 0
+    TICK = 1
+    REPEAT = 2
+    """Publish the newest command once more."""
+
+
+class TickPolicy:
+    """Decides when a supervisor ticks, and counts missed ticks.
+
+    In real time a state is answered by the next call of the timer. A tick without a new state is
+    deferred: the next state is answered at once, so that car and controller with the same rate need
+    not be in phase. A tick is missed where that state does not come before the next tick either, or
+    where the timer left the tick out. A state that is late is answered without a new one.
+
+    In lock-step every state is answered once; the same state again repeats the same command.
+    """
+
+    def __init__(self, supervisor: Supervisor, *, lock_step: bool = False) -> None:
+        """Wait for the first state."""
+        self.supervisor, self.lock_step = supervisor, lock_step
+        self.record: TickRecord | None = None
+        """Newest tick since the last restart."""
+        self.missed = 0
+        """Number of missed ticks."""
+        self.left_out = 0
+        """Ticks that the timer left out before the newest one."""
+        self.lateness_ns = 0
+        """Delay of the newest tick [ns]."""
+        self._period_ns = round(supervisor.period * NANOSECONDS)
+        self._is_deferred = False
+        self._due_ns: int | None = None
+
+    def restart_timer(self) -> None:
+        """Start a new timer: no tick is deferred, none was left out."""
+        self._is_deferred, self._due_ns = False, None
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the newest state has its command."""
+        answered_ns = self.record.command.stamp_ns if self.record else None
+        return answered_ns == self.supervisor.newest_ns
+
+    def take_state(self, state: VehicleState, now_ns: int) -> bool:
+        """Pass a state to the supervisor; a restart of the controller restarts the policy, too.
+
+        Returns:
+            Whether the controller was restarted.
+
+        Raises:
+            ValueError: The state is rejected.
+        """
+        if self.lock_step and state.stamp_ns == self.supervisor.newest_ns:
+            return False
+        restarted = self.supervisor.take_state(state, state.stamp_ns if self.lock_step else now_ns)
+        if restarted:
+            self.restart_timer()
+            self.record = None
+        return restarted
+
+    def on_input(self) -> Action:
+        """Return what to do after a state; in lock-step also after a path."""
+        if self.lock_step:
+            return Action.REPEAT if self.is_answered else Action.TICK
+        return Action.TICK if self._is_deferred else Action.WAIT
+
+    def on_timer(self, now_ns: int, left_ns: int) -> Action:
+        """Return what to do at a call of the timer.
+
+        Args:
+            now_ns: Time of the node's clock [ns].
+            left_ns: Time to the next call, in (0, period] [ns].
+        """
+        self._count_left_out(now_ns, left_ns)
+        if not self.is_answered or self.supervisor.is_state_late(now_ns):
+            return Action.TICK
+        self.missed += self._is_deferred
+        self._is_deferred = True
+        return Action.WAIT
+
+    def _count_left_out(self, now_ns: int, left_ns: int) -> None:
+        self.lateness_ns = self._period_ns - left_ns
+        before, self._due_ns = self._due_ns, now_ns - self.lateness_ns
+        self.left_out = 0
+        if before is not None and self._due_ns >= before:
+            self.left_out = max(round((self._due_ns - before) / self._period_ns) - 1, 0)
+        self.missed += self.left_out
+
+    def tick(self, now_ns: int) -> TickRecord | None:
+        """Tick the supervisor; None before the first valid state and path.
+
+        Args:
+            now_ns: Time of the node's clock; in lock-step the stamp of the state is used [ns].
+        """
+        if not self.supervisor.is_ready:
+            return None
+        self._is_deferred = False
+        now_ns = self.supervisor.newest_ns if self.lock_step else now_ns
+        self.record = self.supervisor.tick(now_ns)
+        return self.record

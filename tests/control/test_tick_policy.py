@@ -1,0 +1,223 @@
+"""When a tick happens: deferred, left out, missed, after a restart, and in lock-step."""
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.supervision.supervisor import Supervisor
+from ampc_ros.supervision.tick_policy import Action, TickPolicy
+from tests.supervised import made_for
+
+MS = 1_000_000
+PERIOD_NS = 10 * MS
+LATE_NS = 25 * MS
+ROAD = np.array([(x, 0.0) for x in np.arange(0.0, 400.0, 5.0)])
+
+
+class Stub:
+    """A supervisor that accepts all states; a stamp that goes back restarts it."""
+
+    period = 0.01
+
+    def __init__(self) -> None:
+        """Wait for the first state."""
+        self.newest_ns, self.has_path = -1, True
+        self.ticks: list[tuple[int, int]] = []
+        """Stamp of the state and time of each tick."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there are a state and a path."""
+        return self.newest_ns >= 0 and self.has_path
+
+    def take_state(self, state: VehicleState, now_ns: int) -> bool:
+        """Accept a state."""
+        goes_back = state.stamp_ns < self.newest_ns
+        self.newest_ns = state.stamp_ns
+        return goes_back
+
+    def is_state_late(self, now_ns: int) -> bool:
+        """Whether the state is older than LATE_NS."""
+        return self.newest_ns >= 0 and now_ns - self.newest_ns > LATE_NS
+
+    def tick(self, now_ns: int) -> Any:
+        """Record a tick."""
+        self.ticks.append((self.newest_ns, now_ns))
+        command = type("Command", (), {"stamp_ns": self.newest_ns})
+        return type("Record", (), {"command": command})
+
+
+def policy_of(stub: Stub, *, lock_step: bool = False) -> TickPolicy:
+    """Return the policy of a stub."""
+    return TickPolicy(cast(Supervisor, stub), lock_step=lock_step)
+
+
+def state(stamp_ns: int) -> VehicleState:
+    """Return a state with a stamp."""
+    return VehicleState(stamp_ns, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)
+
+
+def answered() -> tuple[Stub, TickPolicy]:
+    """Return a policy whose newest state, of time 0, has its command."""
+    stub = Stub()
+    policy = policy_of(stub)
+    policy.take_state(state(0), 0)
+    policy.tick(0)
+    return stub, policy
+
+
+@pytest.mark.parametrize("late_ns", [0, 1, 4 * MS, PERIOD_NS - 1])
+def test_lateness_is_the_time_since_the_tick_was_due(late_ns: int) -> None:
+    policy = policy_of(Stub())
+    for tick in range(1, 5):
+        policy.on_timer(tick * PERIOD_NS + late_ns, PERIOD_NS - late_ns)
+        assert (policy.left_out, policy.lateness_ns) == (0, late_ns)
+    assert policy.missed == 0
+
+
+@pytest.mark.parametrize("left_out", [1, 2, 7])
+def test_ticks_that_the_timer_leaves_out_are_missed(left_out: int) -> None:
+    policy = policy_of(Stub())
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    late_ns = 3 * MS
+    policy.on_timer((2 + left_out) * PERIOD_NS + late_ns, PERIOD_NS - late_ns)
+    assert policy.left_out == policy.missed == left_out
+    policy.on_timer((3 + left_out) * PERIOD_NS, PERIOD_NS)
+    assert (policy.left_out, policy.missed) == (0, left_out)
+
+
+def test_time_that_goes_back_or_a_new_timer_leaves_no_tick_out() -> None:
+    policy = policy_of(Stub())
+    policy.on_timer(100 * PERIOD_NS, PERIOD_NS)
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    policy.restart_timer()
+    policy.on_timer(500 * PERIOD_NS, PERIOD_NS)
+    assert (policy.left_out, policy.missed) == (0, 0)
+
+
+def test_a_tick_is_missed_only_where_the_next_one_has_no_new_state_either() -> None:
+    stub, policy = answered()
+    for tick, missed in ((1, 0), (2, 1)):
+        assert policy.on_timer(tick * PERIOD_NS, PERIOD_NS) is Action.WAIT
+        assert policy.missed == missed
+    policy.take_state(state(2 * PERIOD_NS), 2 * PERIOD_NS)
+    assert policy.on_input() is Action.TICK
+    policy.tick(2 * PERIOD_NS)
+    assert policy.on_timer(3 * PERIOD_NS, PERIOD_NS) is Action.WAIT
+    assert policy.missed == 1
+    assert stub.ticks[-1] == (2 * PERIOD_NS, 2 * PERIOD_NS)
+
+
+def test_a_new_timer_has_no_deferred_tick() -> None:
+    _, policy = answered()
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    policy.restart_timer()
+    assert policy.on_input() is Action.WAIT
+    assert policy.on_timer(2 * PERIOD_NS, PERIOD_NS) is Action.WAIT
+    assert policy.missed == 0
+
+
+def test_a_late_state_is_answered_without_a_new_one() -> None:
+    _, policy = answered()
+    actions = [policy.on_timer(tick * PERIOD_NS, PERIOD_NS) for tick in (1, 2, 3)]
+    assert actions == [Action.WAIT, Action.WAIT, Action.TICK]
+
+
+def test_a_restart_forgets_the_command_and_the_deferred_tick() -> None:
+    _, policy = answered()
+    policy.take_state(state(50), 50)
+    policy.tick(50)
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    assert policy.take_state(state(0), 2 * PERIOD_NS)
+    assert policy.record is None
+    assert policy.on_input() is Action.WAIT
+    assert policy.on_timer(2 * PERIOD_NS, PERIOD_NS) is Action.TICK
+
+
+def test_a_tick_that_is_not_possible_yet_stays_deferred() -> None:
+    stub, policy = answered()
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    stub.has_path = False
+    policy.take_state(state(PERIOD_NS), PERIOD_NS)
+    assert policy.on_input() is Action.TICK
+    assert policy.tick(PERIOD_NS) is None
+    assert policy.on_input() is Action.TICK
+
+
+def test_in_lock_step_each_state_is_answered_once_and_then_repeated() -> None:
+    stub = Stub()
+    policy = policy_of(stub, lock_step=True)
+    for stamp_ns in (0, 5, 5, 9):
+        policy.take_state(state(stamp_ns), 10**9)
+        if policy.on_input() is Action.TICK:
+            policy.tick(10**9)
+        assert policy.on_input() is Action.REPEAT
+    assert stub.ticks == [(0, 0), (5, 5), (9, 9)]
+
+
+events = st.lists(
+    st.sampled_from(["state", "timer", "state", "timer", "old", "back", "path", "no path"]),
+    max_size=60,
+)
+
+
+@given(sequence=events, pauses=st.lists(st.integers(0, 2 * PERIOD_NS), min_size=60, max_size=60))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_ticks_are_those_of_the_rules_of_the_node(sequence: list[str], pauses: list[int]) -> None:
+    stub, model = Stub(), Stub()
+    policy = policy_of(stub)
+    answered_ns, is_deferred, missed, now_ns = None, False, 0, 0
+
+    def step() -> None:
+        nonlocal answered_ns, is_deferred
+        if model.is_ready:
+            is_deferred = False
+            model.tick(now_ns)
+            answered_ns = model.newest_ns
+
+    for event, pause in zip(sequence, pauses, strict=False):
+        now_ns += pause
+        if event in ("path", "no path"):
+            stub.has_path = model.has_path = event == "path"
+        elif event == "timer":
+            missed_before = policy.missed
+            if policy.on_timer(now_ns, PERIOD_NS) is Action.TICK:
+                policy.tick(now_ns)
+            if answered_ns != model.newest_ns or model.is_state_late(now_ns):
+                step()
+            else:
+                missed, is_deferred = missed + is_deferred, True
+            missed += policy.left_out
+            assert policy.missed >= missed_before
+        else:
+            stamp_ns = {"state": now_ns, "old": stub.newest_ns, "back": 0}[event]
+            if stamp_ns < 0:
+                continue
+            policy.take_state(state(stamp_ns), now_ns)
+            if policy.on_input() is Action.TICK:
+                policy.tick(now_ns)
+            if model.take_state(state(stamp_ns), now_ns):
+                answered_ns, is_deferred = None, False
+            if is_deferred:
+                step()
+        assert stub.ticks == model.ticks
+    assert policy.missed == missed
+
+
+def test_the_policy_drives_a_real_supervisor() -> None:
+    supervisor = Supervisor(made_for())
+    policy, period_ns = TickPolicy(supervisor), NANOSECONDS // 10
+    supervisor.take_path(ROAD, NANOSECONDS, NANOSECONDS)
+    assert policy.on_timer(NANOSECONDS, period_ns) is Action.TICK
+    assert policy.tick(NANOSECONDS) is None
+    for tick in range(1, 4):
+        now_ns = NANOSECONDS + tick * period_ns
+        new = VehicleState(now_ns, 20.0 + 0.9 * tick, 0.0, 0.0, 9.0, 0.0, 0.0)
+        assert not policy.take_state(new, now_ns)
+        assert policy.on_timer(now_ns, period_ns) is Action.TICK
+        assert policy.tick(now_ns) is policy.record is not None
+        assert policy.is_answered
