@@ -18,12 +18,12 @@ from ampc_ros.mpc.programme import check_conditioning, scratch_numbers
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.drives import (
-    JUDGED_FROM,
     PLANTS,
     ROADS,
+    SETTLING_DEADLINE,
     Plant,
-    believed,
-    real,
+    nominal_vehicle,
+    simulated_car,
     step_to,
 )
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING, Array, Fleet
@@ -124,7 +124,7 @@ def judged(node: Node, log: Array) -> Array:
         cost = np.mean(error**2, axis=(1, 2))
     else:
         period = prepared(node).period_ns / 1e9
-        begin = [round(JUDGED_FROM[plant.road] / period) for plant in PLANTS]
+        begin = [round(SETTLING_DEADLINE[plant.road] / period) for plant in PLANTS]
         squares = [np.mean(error[:, i, b:] ** 2, axis=1) for i, b in enumerate(begin)]
         way = node.speed * period * np.diff(steering, axis=2)
         effort = INCREMENT_WEIGHT * np.mean(way**2, axis=2)
@@ -149,16 +149,17 @@ def prepared(node: Node) -> FleetRun:
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)
         return prepare(
-            [_entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))], LOST[node.kind]
+            [_entry(node, Plant("step"), simulated_car(Plant("step"), node.vehicle, road))],
+            LOST[node.kind],
         )
     roads = {name: road(node.speed) for name, road in ROADS.items()}
-    cars = [(plant, real(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
+    cars = [(plant, simulated_car(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
     return prepare([_entry(node, *car) for car in cars], LOST[node.kind])
 
 
 def _entry(node: Node, plant: Plant, simulation: Simulation) -> Entry:
     settings = load(ControllerSettings, find("controllers", SETTINGS))
-    table, known = GainTable([node.speed], [0.0], [GENTLE]), believed(plant, node.vehicle)
+    table, known = GainTable([node.speed], [0.0], [GENTLE]), nominal_vehicle(plant, node.vehicle)
     if node.formulation == "paper":
         return Entry(simulation, LateralMpc(known.chassis, settings, table))
     return Entry(simulation, PreviewMpc(known.chassis, known.steering, settings, table))
