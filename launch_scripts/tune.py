@@ -126,7 +126,7 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
     with open_workers(*options) as workers:
-        (checkpoints.resume if chosen.resume else checkpoints.begin)(describe_task(task))
+        checkpoints.begin(describe_task(task), chosen.resume)
         report = search_and_prove(task, workers, checkpoints, console)
     console.print(screen_table(report))
     console.print(report.verdict)

@@ -16,7 +16,6 @@ from rich.table import Table
 from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from launch_scripts.tuning.fitness import FITNESS, Node, fitness
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.search import SearchResult
 from launch_scripts.tuning.task import (
     RANDOM,
@@ -174,26 +173,21 @@ def evaluate(
     task: TuningTask, candidates: Sequence[Candidate], workers: Workers
 ) -> list[Candidate]:
     """Return the candidates with their fitness at the nodes and at the held-out speeds."""
-    nodes = [node for node in nodes_of(task) if is_reachable(node)]
-    at_nodes = _fitness(nodes, candidates, workers)
-    between = _fitness(held_out_nodes(task), candidates, workers)
+
+    def at(nodes: Sequence[Node]) -> list[tuple[float, ...]]:
+        rows = [[c.table.lookup(n.speed, n.reference).gains for c in candidates] for n in nodes]
+        tasks = [
+            workers.executor.submit(fitness, node, np.array(row, dtype=float))
+            for node, row in zip(nodes, rows, strict=True)
+        ]
+        columns = zip(*(task.result().tolist() for task in tasks), strict=True)
+        return list(columns) or [()] * len(candidates)
+
+    at_nodes = at([node for node in nodes_of(task) if is_reachable(node)])
+    between = at(held_out_nodes(task))
     return [
-        item._replace(
-            fitness=tuple(at_nodes[:, i].tolist()), held_out=tuple(between[:, i].tolist())
-        )
-        for i, item in enumerate(candidates)
+        item._replace(fitness=at_nodes[i], held_out=between[i]) for i, item in enumerate(candidates)
     ]
-
-
-def _fitness(nodes: Sequence[Node], candidates: Sequence[Candidate], workers: Workers) -> Array:
-    """Return the fitness (nodes, candidates) with the gains of each table at each node."""
-    rows = [[c.table.lookup(n.speed, n.reference).gains for c in candidates] for n in nodes]
-    tasks = [
-        workers.executor.submit(fitness, node, np.array(row, dtype=float))
-        for node, row in zip(nodes, rows, strict=True)
-    ]
-    values = [task.result() for task in tasks]
-    return np.array(values) if values else np.zeros((0, len(candidates)))
 
 
 def screen_table(report: TuningReport) -> Table:

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from pathlib import Path
 from threading import Event
@@ -65,26 +65,22 @@ class Checkpoints:
         """Use a folder, which need not exist yet."""
         self.folder = folder
 
-    def begin(self, task: dict[str, Any]) -> None:
-        """Start a new task.
+    def begin(self, task: dict[str, Any], resume: bool) -> None:
+        """Start a new task, or continue the task in the folder.
 
         Raises:
-            ValueError: The folder already holds an interrupted task.
-        """
-        if (self.folder / TASK).exists():
-            raise ValueError(
-                f"{self.folder}: holds an interrupted search: continue it with --resume, or "
-                "choose another --output"
-            )
-        write_atomically(self.folder / TASK, json.dumps(task, indent=1) + "\n")
-
-    def resume(self, task: dict[str, Any]) -> None:
-        """Continue the task in the folder.
-
-        Raises:
-            ValueError: The folder is empty or holds another task; names the field that differs.
+            ValueError: New: the folder already holds an interrupted task. Continued: the folder is
+                empty or holds another task; names the field that differs.
         """
         saved = self._read(TASK)
+        if not resume:
+            if saved is not None:
+                raise ValueError(
+                    f"{self.folder}: holds an interrupted search: continue it with --resume, or "
+                    "choose another --output"
+                )
+            write_atomically(self.folder / TASK, json.dumps(task, indent=1) + "\n")
+            return
         if saved is None:
             raise ValueError(f"{self.folder}: nothing to resume")
         for key in {**saved, **task}:
@@ -151,10 +147,25 @@ def run_searches(
     """
     stop = Event()
 
-    def run(item: Search) -> tuple[str, SearchResult]:
-        return item.name, _run_search(item, workers, checkpoints, show, stop)
+    def parallel_map(cost: Callable[..., Any], positions: Array) -> Array:
+        parts = np.array_split(positions, min(workers.capacity, len(positions)))
+        tasks = [workers.executor.submit(cost, part) for part in parts]
+        return np.concatenate([task.result() for task in tasks])
 
-    with ThreadPoolExecutor(min(len(searches), workers.count + 1)) as drivers:
+    def run(item: Search) -> tuple[str, SearchResult]:
+        before, where = checkpoints.load(item.name), dimensions(item.space)
+        options = item.settings, item.rng, parallel_map, before
+        for swarm in search_with_swarm(item.cost, where, *options):
+            if swarm is not before:
+                checkpoints.save(item.name, swarm)
+            show(item, swarm)
+            if stop.is_set():
+                raise SearchStopped
+        best = swarm.best_position[swarm.leader]
+        rounded = np.where([each.integer for each in where], np.rint(best), best)
+        return item.name, (item.gains(rounded), float(swarm.best_fitness[swarm.leader]))
+
+    with ThreadPoolExecutor(min(len(searches), workers.capacity + 1)) as drivers:
         tasks = [drivers.submit(run, item) for item in searches]
         try:
             done, _ = wait(tasks, return_when=FIRST_EXCEPTION)
@@ -170,34 +181,3 @@ def run_searches(
         finally:
             stop.set()
     return dict(task.result() for task in tasks)
-
-
-def _run_search(
-    item: Search,
-    workers: Workers,
-    checkpoints: Checkpoints,
-    show: Callable[[Search, Swarm], None],
-    stop: Event,
-) -> SearchResult:
-    before, where = checkpoints.load(item.name), dimensions(item.space)
-    share = _parallel_map(workers)
-    for swarm in search_with_swarm(item.cost, where, item.settings, item.rng, share, before):
-        if swarm is not before:
-            checkpoints.save(item.name, swarm)
-        show(item, swarm)
-        if stop.is_set():
-            raise SearchStopped
-    best = swarm.best_position[swarm.leader]
-    rounded = np.where([each.integer for each in where], np.rint(best), best)
-    return item.gains(rounded), float(swarm.best_fitness[swarm.leader])
-
-
-def _parallel_map(workers: Workers) -> Callable[[Callable[..., Any], Array], Iterable[Any]]:
-    """Return a `map` that splits a generation into one part for each worker."""
-
-    def parallel_map(cost: Callable[..., Any], positions: Array) -> Array:
-        parts = np.array_split(positions, min(workers.count, len(positions)))
-        tasks = [workers.executor.submit(cost, part) for part in parts]
-        return np.concatenate([task.result() for task in tasks])
-
-    return parallel_map

@@ -46,58 +46,6 @@ class SearchSpace(NamedTuple):
     fixed: Gains
 
 
-class Preset(NamedTuple):
-    """Defaults of a formulation."""
-
-    kind: str
-    speeds: tuple[float, ...]
-    references: tuple[float, ...]
-    tuned: tuple[str, ...]
-    bounds: dict[str, Bounds]
-    fixed: Gains
-    particles: int
-    generations: int
-
-
-PRESETS = {
-    "paper": Preset(
-        kind="paper",
-        speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
-        references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
-        # Without N: an alpha interpolated between two nodes does not suit the N of either.
-        tuned=("N_p", "N_c", "alpha", "R"),
-        bounds={  # of the authors' code; its bounds of Q and R allow R/Q from 1e-4 to 1
-            "N_p": (1, 55),
-            "N_c": (1, 18),
-            "N": (1, 9),
-            "alpha": (0.75, 0.99),
-            "Q": (0.1, 10.0),
-            "R": (0.001, 10.0),
-        },
-        fixed=Gains(45, 15, 3, 0.75, 10.0, 0.01),
-        particles=20,
-        generations=15,
-    ),
-    "preview": Preset(
-        kind="robust",
-        speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
-        references=(0.0,),
-        tuned=("alpha", "R"),  # the optima of the other gains vary randomly from node to node
-        bounds={
-            "N_p": (10, 45),
-            "N_c": (4, 30),
-            "N": (2, 8),
-            "alpha": (0.0, 0.9),
-            "Q": (0.1, 1000.0),
-            "R": (1.0, 1.0e5),
-        },
-        fixed=Gains(25, 20, 4, 0.3, 10.0, 100.0),
-        particles=10,
-        generations=8,
-    ),
-}
-
-
 class TuningTask(NamedTuple):
     """Everything that determines the result of a tuning."""
 
@@ -114,6 +62,53 @@ class TuningTask(NamedTuple):
     space: SearchSpace
     settings: PsoSettings
     seeds: tuple[int, ...]
+
+
+DEFAULT_BOUNDS: dict[str, dict[str, Bounds]] = {
+    "paper": {  # of the authors' code; its bounds of Q and R allow R/Q from 1e-4 to 1
+        "N_p": (1, 55),
+        "N_c": (1, 18),
+        "N": (1, 9),
+        "alpha": (0.75, 0.99),
+        "Q": (0.1, 10.0),
+        "R": (0.001, 10.0),
+    },
+    "preview": {
+        "N_p": (10, 45),
+        "N_c": (4, 30),
+        "N": (2, 8),
+        "alpha": (0.0, 0.9),
+        "Q": (0.1, 1000.0),
+        "R": (1.0, 1.0e5),
+    },
+}
+"""Bounds by formulation and symbol."""
+DEFAULT_TUNED = {"paper": ("N_p", "N_c", "alpha", "R"), "preview": ("alpha", "R")}
+"""Gains tuned by default. An alpha interpolated between two nodes does not suit the N of either;
+with the preview formulation the optima of the other gains vary randomly from node to node."""
+PRESETS = {
+    "paper": TuningTask(
+        vehicle="paper",
+        formulation="paper",
+        kind="paper",
+        speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
+        references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
+        space=SearchSpace((), Gains(45, 15, 3, 0.75, 10.0, 0.01)),
+        settings=PsoSettings(particles=20, generations=15),
+        seeds=(1, 2),
+    ),
+    "preview": TuningTask(
+        vehicle="paper",
+        formulation="preview",
+        kind="robust",
+        speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
+        references=(0.0,),
+        space=SearchSpace((), Gains(25, 20, 4, 0.3, 10.0, 100.0)),
+        settings=PsoSettings(particles=10, generations=8),
+        seeds=(1, 2),
+    ),
+}
+"""Default task of each formulation; its space holds the fixed gains."""
 
 
 class Search(NamedTuple):
@@ -170,10 +165,9 @@ def read_task(chosen: argparse.Namespace) -> TuningTask:
     preset = PRESETS[chosen.formulation]
     kind = chosen.fitness or preset.kind
     references = preset.references if kind == "paper" else (0.0,)
-    bounds, tuned = read_bounds(chosen.bounds), chosen.tune or preset.tuned
-    for symbol in bounds:
-        if symbol in SYMBOLS and symbol not in tuned:
-            raise ValueError(f"--bounds {symbol}: is not among the tuned, {', '.join(tuned)}")
+    swarm = {key: getattr(chosen, key) for key in ("particles", "generations")}
+    for key, value in swarm.items():
+        swarm[key] = getattr(preset.settings, key) if value is None else value
     task = TuningTask(
         chosen.vehicle,
         chosen.formulation,
@@ -181,29 +175,31 @@ def read_task(chosen: argparse.Namespace) -> TuningTask:
         preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
         references if chosen.references is None else tuple(chosen.references),
         search_space(
-            {symbol: preset.bounds[symbol] for symbol in tuned} | bounds,
-            read_fixed(chosen.fix, preset.fixed),
+            read_bounds(chosen.bounds, chosen.formulation, chosen.tune),
+            read_fixed(chosen.fix, preset.space.fixed),
         ),
-        PsoSettings(
-            particles=preset.particles if chosen.particles is None else chosen.particles,
-            generations=preset.generations if chosen.generations is None else chosen.generations,
-        ),
+        PsoSettings(**swarm),
         tuple(chosen.seeds),
     )
     check_task(task)
     return task
 
 
-def read_bounds(texts: Sequence[str]) -> dict[str, Bounds]:
-    """Parse bounds such as `R=1:1e4`.
+def read_bounds(
+    texts: Sequence[str], formulation: str, tuned: Sequence[str] | None
+) -> dict[str, Bounds]:
+    """Return the bounds of the tuned gains; texts such as `R=1:1e4` replace the defaults.
 
     Raises:
-        ValueError: Names the text that cannot be parsed.
+        ValueError: Names the text that cannot be parsed, or the gain that is not tuned.
     """
-    bounds = {}
+    tuned = tuned or DEFAULT_TUNED[formulation]
+    bounds = {symbol: DEFAULT_BOUNDS[formulation][symbol] for symbol in tuned}
     for text in texts:
         symbol, _, ends = text.partition("=")
         low, _, high = ends.partition(":")
+        if symbol in SYMBOLS and symbol not in tuned:
+            raise ValueError(f"--bounds {symbol}: is not among the tuned, {', '.join(tuned)}")
         try:
             bounds[symbol] = (float(low), float(high))
         except ValueError as error:
@@ -212,22 +208,22 @@ def read_bounds(texts: Sequence[str]) -> dict[str, Bounds]:
 
 
 def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
-    """Parse fixed gains such as `N_p=25`; the others keep their default.
+    """Return the default gains with replacements such as `N_p=25`.
 
     Raises:
         ValueError: Names the text that cannot be parsed.
     """
-    fixed = default
+    fixed = default._asdict()
     for text in texts:
         symbol, _, value = text.partition("=")
         if symbol not in SYMBOLS:
             raise ValueError(f"--fix {text}: unknown gain; known are {', '.join(SYMBOLS)}")
+        field = FIELDS[symbol]
         try:
-            number = int(value) if FIELDS[symbol] in INTEGERS else float(value)
+            fixed[field] = int(value) if field in INTEGERS else float(value)
         except ValueError as error:
             raise ValueError(f"--fix {text}: must look like {symbol}=25") from error
-        fixed = Gains(**(fixed._asdict() | {FIELDS[symbol]: number}))
-    return fixed
+    return Gains(**fixed)
 
 
 def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
@@ -244,10 +240,9 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
             check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
         check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
     ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
-    result = SearchSpace(ends, fixed)
-    space([Dimension(*bound) for bound in result.bounds])
-    space(dimensions(result))
-    return result
+    space([Dimension(*bound) for bound in ends])
+    space(dimensions(SearchSpace(ends, fixed)))
+    return SearchSpace(ends, fixed)
 
 
 def dimensions(where: SearchSpace) -> list[Dimension]:

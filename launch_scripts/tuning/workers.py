@@ -29,7 +29,7 @@ class Workers(NamedTuple):
     """An executor and its properties."""
 
     executor: Executor
-    count: int
+    capacity: int
     """Number of functions that run at the same time."""
     losses: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
     """Exceptions of a result if the workers are lost."""

@@ -167,7 +167,7 @@ def test_a_cluster_whose_worker_is_killed_finds_the_same_bit_for_bit(
                 os.kill(pids[0], signal.SIGKILL)
 
         with open_workers(1, scheduler=cluster.scheduler_address, trusted=True) as workers:
-            assert workers.count == 2
+            assert workers.capacity == 2
             assert searched(workers, tmp_path, kill_one) == alone
         assert len(seen) > 8
         client.close()

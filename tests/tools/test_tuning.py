@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import minimize
 from ampc_ros.pso.settings import PsoSettings
 from ampc_ros.pso.swarm import Swarm, to_json
 from launch_scripts.tune import build_parser, command_of, main
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
+    DEFAULT_BOUNDS,
+    DEFAULT_TUNED,
     PRESETS,
+    SYMBOLS,
     Search,
     build_table,
     describe_task,
@@ -27,7 +29,7 @@ from launch_scripts.tuning.task import (
     searches_of,
 )
 
-FIXED = PRESETS["preview"].fixed
+FIXED = PRESETS["preview"].space.fixed
 PAPER_GRID = ["--formulation", "paper", "--speeds", "3", "9", "--references", "0", "15"]
 
 
@@ -169,7 +171,7 @@ def test_a_wrong_vehicle_file_is_named_with_key_value_and_bound(
 
 def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
-    kept.begin({"a": 1})
+    kept.begin({"a": 1}, False)
     kept.save("x", swarm())
     loaded = kept.load("x")
     assert loaded is not None
@@ -181,17 +183,17 @@ def test_a_checkpoint_of_another_task_is_refused_with_the_field_that_differs(
     tmp_path: Path,
 ) -> None:
     kept, some = Checkpoints(tmp_path / "c"), describe_task(task("--speeds", "5", "9"))
-    kept.begin(some)
-    kept.resume(some)
+    kept.begin(some, False)
+    kept.begin(some, True)
     with pytest.raises(ValueError, match=r"speed = \[5.0, 9.0\], now \[5.0, 8.0\]"):
-        kept.resume(describe_task(task("--speeds", "5", "8")))
+        kept.begin(describe_task(task("--speeds", "5", "8")), True)
     with pytest.raises(ValueError, match=r"c: .*--resume"):
-        kept.begin(some)
+        kept.begin(some, False)
 
 
 def test_a_file_that_is_not_a_checkpoint_is_named(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
-    kept.begin({"a": 1})
+    kept.begin({"a": 1}, False)
     for text, cause in (
         ("{", "cannot be read"),
         ("[" * 10**6, "cannot be read"),
@@ -221,8 +223,9 @@ def test_a_full_disk_keeps_the_previous_content(
     assert file.read_text() == "new"
 
 
-def test_presets_are_sound() -> None:
-    for name, preset in PRESETS.items():
+def test_presets_are_valid_tasks() -> None:
+    for name in PRESETS:
         chosen = task("--formulation", name)
-        assert {symbol for symbol, _, _ in chosen.space.bounds} == set(preset.tuned)
-        assert isinstance(preset.fixed, Gains)
+        assert {symbol for symbol, _, _ in chosen.space.bounds} == set(DEFAULT_TUNED[name])
+        assert set(DEFAULT_BOUNDS[name]) == set(SYMBOLS)
+        assert chosen == PRESETS[name]._replace(space=chosen.space)
