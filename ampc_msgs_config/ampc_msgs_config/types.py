@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import compiled
 
+Array = NDArray[np.float64]
 NANOSECONDS = 1_000_000_000
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ampc_msgs_config.config import read_text
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import search as search_with_swarm
 from ampc_ros.pso.swarm import Swarm, from_json, to_json
-from launch_scripts.tuning.fleet import Array
 from launch_scripts.tuning.task import Search, dimensions
 from launch_scripts.tuning.workers import Workers
 

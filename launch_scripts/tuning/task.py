@@ -17,11 +17,11 @@ import numpy as np
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import check_range
+from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.settings import Dimension, PsoSettings, space
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import Node, fitness, gains_of_row
-from launch_scripts.tuning.fleet import Array
 from sim_vehicle.parameters import load_vehicle
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
