@@ -16,7 +16,7 @@ from ampc_msgs_config.types import (
 from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Decision, Supervisor
 from launch_scripts.run.simulated import SimulatedDrive
-from tests.workshop.acceptance.trials import Trial, believed_vehicle, judged, plant, scenario_of
+from tests.workshop.acceptance.trials import Trial, assumed_vehicle, plant, scenario_of, with_errors
 
 Fault = Callable[[float], bool]
 """Whether there is one at a time [s]."""
@@ -74,7 +74,7 @@ def supervised(
         supervisor: In place of a new one.
     """
     steers = supervisor or Supervisor(config)
-    vehicle = believed_vehicle(trial)
+    vehicle = assumed_vehicle(trial)
     scenario = scenario_of(trial, vehicle)
     simulation, planner = plant(trial, vehicle, scenario), SpeedPlanner(scenario)
     steers.take_path(scenario.points, NANOSECONDS, NANOSECONDS)
@@ -97,4 +97,4 @@ def supervised(
         steering.append(steers.steering)
         simulation.advance(steers.steering, planner.target_speed(state), period_ns)
     done = Drive(states, np.array(steering), np.zeros(len(states)))
-    return Run(judged(done, scenario, vehicle), decisions, times)
+    return Run(with_errors(done, scenario, vehicle), decisions, times)
