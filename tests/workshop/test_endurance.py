@@ -12,7 +12,7 @@ from tests.workshop.fault_matrix.endurance import (
     GROWTH,
     PAUSE,
     PIECE,
-    Account,
+    EnduranceResult,
     Minute,
     drive_for,
     is_inside,
@@ -56,21 +56,21 @@ def test_faults_are_drawn_by_seed_with_pauses_and_to_both_sides() -> None:
     assert min(jumps) < 0 < max(jumps)
 
 
-def account(*minutes: Minute, missed: int = 0) -> Account:
+def account(*minutes: Minute, missed: int = 0) -> EnduranceResult:
     """Give an account of some minutes."""
-    return Account(minutes, 0, 0, missed, 600 * len(minutes))
+    return EnduranceResult(minutes, 0, 0, missed, 600 * len(minutes))
 
 
 GOOD = Minute(100.0, 0.5, 600, 0, 3)
 
 
 def test_what_does_not_hold_is_told() -> None:
-    assert account(*[GOOD] * 10).complaints == []
-    assert account(GOOD, missed=1).complaints == ["1 ticks missed"]
-    outside = account(GOOD, GOOD._replace(outside=2)).complaints
+    assert account(*[GOOD] * 10).failures == []
+    assert account(GOOD, missed=1).failures == ["1 ticks missed"]
+    outside = account(GOOD, GOOD._replace(outside=2)).failures
     assert outside == ["2 commands outside the limits"]
     for error in (10.1, math.nan):
-        assert account(GOOD._replace(error=error)).complaints[0].startswith("the car was")
+        assert account(GOOD._replace(error=error)).failures[0].startswith("the car was")
 
 
 @pytest.mark.parametrize(("growth", "flat"), [(GROWTH - 0.01, True), (GROWTH, False)])
@@ -78,7 +78,7 @@ def test_memory_may_grow_before_minute_five_and_less_than_5_mb_after_it(
     growth: float, flat: bool
 ) -> None:
     later = [GOOD._replace(memory=120.0)] * 3 + [GOOD._replace(memory=120.0 + growth)]
-    assert (account(*[GOOD] * 4, *later).complaints == []) == flat
+    assert (account(*[GOOD] * 4, *later).failures == []) == flat
 
 
 def test_a_command_outside_the_limits_is_seen() -> None:

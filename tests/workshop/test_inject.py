@@ -22,7 +22,7 @@ from tests.workshop.fault_matrix.inject_cases import (
     load_course,
     mirrored,
 )
-from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course, judge
+from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course, evaluate_cell
 
 BY_NAME = {case.name: case for case in CASES}
 MIRRORED = (
@@ -161,7 +161,7 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
 
 
 @pytest.mark.parametrize(
-    ("error", "rungs", "fate"),
+    ("error", "rungs", "outcome"),
     [
         ([0.0] * 10, [0] * 10, "0.0 s"),
         ([0.0] * 10, [0, 0, STOP, STOP, 0, 0, 0, 0, 0, 0], "0.0 s"),
@@ -172,12 +172,12 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
         ([0.0, 0.0, 0.0, math.nan, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0], [0] * 10, "lost at 3.0 s"),
     ],
 )
-def test_the_fate_of_a_car_follows_from_its_errors_and_rungs(
+def test_the_outcome_of_a_drive_follows_from_its_errors_and_rungs(
     error: list[float], rungs: list[int], outcome: str
 ) -> None:
     free = log_with([0.0] * 10, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
-    found = judge("x", Course(course().scenario, 2.0, free), fault, log_with(error, rungs))
+    found = evaluate_cell("x", Course(course().scenario, 2.0, free), fault, log_with(error, rungs))
     assert found.outcome == outcome
     assert found.fails == (not outcome.endswith("0 s") or outcome.startswith("lost"))
 
@@ -191,7 +191,7 @@ def test_what_no_controller_survives_is_declared_with_its_reason(
     free = log_with([0.0] * 10, [0] * 10)
     lost = log_with([0.0] * 5 + [20.0] * 5, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
-    found = judge("x", Course(course().scenario, 2.0, free), fault, lost)
+    found = evaluate_cell("x", Course(course().scenario, 2.0, free), fault, lost)
     assert found.allowed_reason == "because"
     assert not found.kept
     assert not found.fails
@@ -218,7 +218,7 @@ def test_the_command_leaves_numbers_and_a_picture(
 def test_a_car_that_is_lost_makes_the_command_fail(tmp_path: Path) -> None:
     given = ["--controller", "classic", "--faults", "pose frozen for 2 s"]
     assert main([*given, "--scenarios", "sc2", "--output", str(tmp_path)]) == 1
-    assert "must not be" in (tmp_path / "faults.md").read_text("utf-8")
+    assert "not allowed" in (tmp_path / "faults.md").read_text("utf-8")
 
 
 WRONG = {
