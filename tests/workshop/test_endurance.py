@@ -1,4 +1,4 @@
-"""Two minutes of the hour: what is counted, and what is complained of."""
+"""Endurance test of two minutes: counts and failed conditions."""
 
 import csv
 import math
@@ -26,7 +26,7 @@ from tests.workshop.fault_matrix.inject_cells import Bench, Conditions
 
 @pytest.fixture(scope="module")
 def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An oval of 600 m."""
+    """Return an oval of 600 m as a CSV file."""
     file = tmp_path_factory.mktemp("tracks") / "oval.csv"
     corners = [(150.0 * math.cos(0.02 * math.pi * i), 60.0 * math.sin(0.02 * math.pi * i))
                for i in range(101)]  # fmt: skip
@@ -57,14 +57,14 @@ def test_faults_are_drawn_by_seed_with_pauses_and_to_both_sides() -> None:
 
 
 def account(*minutes: Minute, missed: int = 0) -> EnduranceResult:
-    """Give an account of some minutes."""
+    """Return the result of some minutes."""
     return EnduranceResult(minutes, 0, 0, missed, 600 * len(minutes))
 
 
 GOOD = Minute(100.0, 0.5, 600, 0, 3)
 
 
-def test_what_does_not_hold_is_told() -> None:
+def test_failed_conditions_are_listed() -> None:
     assert account(*[GOOD] * 10).failures == []
     assert account(GOOD, missed=1).failures == ["1 ticks missed"]
     outside = account(GOOD, GOOD._replace(outside=2)).failures
@@ -81,7 +81,7 @@ def test_memory_may_grow_before_minute_five_and_less_than_5_mb_after_it(
     assert (account(*[GOOD] * 4, *later).failures == []) == flat
 
 
-def test_a_command_outside_the_limits_is_seen() -> None:
+def test_a_command_outside_the_limits_is_detected() -> None:
     drive = Bench(Conditions()).drive(load_course("sc1", Bench(Conditions()).vehicle.size), ())
     drive.run(1.0)
     guard, tick = drive.supervisor.guard, drive.told[-1]
@@ -96,16 +96,16 @@ def test_a_command_outside_the_limits_is_seen() -> None:
 
 
 def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for given, complaint in (
+    for given, message in (
         (["--hours", "0"], "--hours = 0.0 must lie in [0.01, 100] h"),
         (["--seed", "-1"], "--seed = -1 must lie in"),
         (["--path", str(tmp_path / "none.csv")], "cannot be read"),
     ):
         assert main(given) == 2
-        assert complaint in " ".join(capsys.readouterr().out.split())
+        assert message in " ".join(capsys.readouterr().out.split())
 
 
-def test_an_account_covers_every_minute(circuit: Path) -> None:
+def test_a_result_covers_every_minute(circuit: Path) -> None:
     found = drive_for(PIECE, circuit, Conditions(seed=3), Console(quiet=True))
     assert len(found.minutes) == 1
     assert 580 <= found.minutes[0].commands <= found.expected == 600
