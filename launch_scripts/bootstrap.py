@@ -1,13 +1,13 @@
-"""Set-up of the workspace: ``.venv``, the pinned requirements, the colcon build, compiled code.
+"""Set up the workspace: ``.venv``, locked requirements, colcon build, compiled code.
 
-``python3 launch_scripts/bootstrap.py [--dev] [--bench]`` may be run at any time: it does what is
-missing. Where ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used; elsewhere the ROS
-wheels are.
+``python3 launch_scripts/bootstrap.py [--dev] [--bench]`` can be repeated at any time; it executes
+only the missing steps. If ROS 2 Jazzy is sourced, its rclpy, numpy and colcon are used, otherwise
+the ROS wheels. This file needs nothing but the standard library.
 """
 
 import sys
 
-if sys.version_info < (3, 10):  # noqa: UP036 - who has an older Python shall read a sentence
+if sys.version_info < (3, 10):  # noqa: UP036 - older versions get a message instead of a SyntaxError
     sys.exit(f"bootstrap: Python 3.10 or newer is needed, this is {sys.version.split()[0]}")
 
 import argparse
@@ -42,14 +42,20 @@ NO_WHEEL = re.compile(r"No matching distribution found for ([\w.\[\]-]+)")
 
 
 class SetupError(Exception):
-    """What stops the set-up, in one sentence."""
+    """Raised with one sentence that states why the set-up cannot continue."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Sets the workspace up and gives the exit code."""
+    """Set up the workspace and return the exit code."""
     parser = argparse.ArgumentParser(description="Set up .venv and build the colcon workspace.")
-    parser.add_argument("--dev", action="store_true", help="also install what tests and lint need")
-    parser.add_argument("--bench", action="store_true", help="also install what we are measured by")
+    parser.add_argument(
+        "--dev", action="store_true", help="also install the tools for tests and lint"
+    )
+    parser.add_argument(
+        "--bench",
+        action="store_true",
+        help="also install the solvers and controllers of the benchmark",
+    )
     chosen = parser.parse_args(arguments)
     try:
         bootstrap(dev=chosen.dev, bench=chosen.bench)
@@ -60,35 +66,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"bootstrap: {error.strerror}: {error.filename}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nbootstrap: interrupted; run it again to go on", file=sys.stderr)
+        print("\nbootstrap: interrupted; run it again to continue", file=sys.stderr)
         return 130
     return 0
 
 
 def bootstrap(*, dev: bool, bench: bool = False) -> None:
-    """Makes ``.venv``, installs into it and builds the workspace, each only where needed."""
+    """Create ``.venv``, install the requirements, build and compile; skip what is up to date."""
     with_ros = uses_installed_ros(os.environ.get("ROS_DISTRO", ""))
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("", encoding="utf-8")
     home = f"{ROOT}, Python {platform.python_version()}, installed ROS: {with_ros}"
-    if done(VENV) != {home}:
+    # .venv for this folder, Python and kind of ROS
+    if done_steps(VENV) != {home}:
         create_venv(with_ros)
         mark(VENV, {home})
+    # requirements, by name and content of the lock files
     requirements = requirement_files(with_ros=with_ros, dev=dev, bench=bench)
     wanted = {f"{file.name} {digest([file])}" for file in requirements}
-    installed = done(VENV / "lib")
+    installed = done_steps(VENV / "lib")
     if not wanted <= installed:
         install(requirements)
         mark(VENV / "lib", installed | wanted)
+    # colcon build and compiled code, by content of the sources
     sources = digest(file for package in PACKAGES for file in source_files(ROOT / package))
-    if done(ROOT / "install") != {sources}:
+    if done_steps(ROOT / "install") != {sources}:
         build()
         compile_code()
         mark(ROOT / "install", {sources})
 
 
 def uses_installed_ros(distribution: str) -> bool:
-    """Tells whether ROS 2 Jazzy is sourced; raises where neither it nor the wheels can serve."""
+    """Check whether ROS 2 Jazzy is sourced.
+
+    Raises:
+        SetupError: Neither ROS 2 Jazzy nor the wheels can be used.
+    """
     if not distribution:
         require_wheels(platform.system(), platform.machine())
         return False
@@ -97,7 +110,7 @@ def uses_installed_ros(distribution: str) -> bool:
     if subprocess.run([sys.executable, "-c", "import rclpy"], capture_output=True).returncode:
         raise SetupError(
             f"ROS 2 Jazzy is sourced, but {sys.executable} cannot import its rclpy: "
-            "use the Python that ROS was made for (make PYTHON=/usr/bin/python3)"
+            "use the Python of that ROS installation (make PYTHON=/usr/bin/python3)"
         )
     if importlib.util.find_spec("colcon_core") is None:
         raise SetupError("colcon is missing: apt install python3-colcon-common-extensions")
@@ -105,16 +118,16 @@ def uses_installed_ros(distribution: str) -> bool:
 
 
 def require_wheels(system: str, machine: str) -> None:
-    """Raises where no wheels of ROS 2 exist."""
+    """Raise a SetupError if there are no ROS 2 wheels for an operating system and machine."""
     if (system, machine) != ("Linux", "x86_64"):
         raise SetupError(
-            f"ROS 2 comes as wheels for Linux on x86-64 only and this is {system} on {machine}: "
+            f"ROS 2 wheels exist only for Linux on x86-64, and this is {system} on {machine}: "
             "install ROS 2 Jazzy, source it and run this again"
         )
 
 
 def requirement_files(*, with_ros: bool, dev: bool, bench: bool) -> list[Path]:
-    """The locked requirement files for this kind of machine."""
+    """Return the lock files to install."""
     needed = {
         "requirements.txt": True,
         "requirements-ros.txt": not with_ros,
@@ -125,49 +138,49 @@ def requirement_files(*, with_ros: bool, dev: bool, bench: bool) -> list[Path]:
 
 
 def source_files(package: Path) -> list[Path]:
-    """All files of a package, without Python's and numba's caches."""
+    """Return all files of a package without the caches of Python and numba."""
     files = sorted(file for file in package.rglob("*") if file.is_file())
     return [file for file in files if "__pycache__" not in file.parts]
 
 
 def digest(files: Iterable[Path]) -> str:
-    """One hash over names and contents of files."""
+    """Return one hash over names and contents of files."""
     total = hashlib.sha256()
     for file in files:
         total.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes() + b"\0")
     return total.hexdigest()
 
 
-def done(folder: Path) -> set[str]:
-    """What was marked as done in a folder."""
+def done_steps(folder: Path) -> set[str]:
+    """Return the steps that are marked as done in a folder."""
     stamp = folder / "bootstrap-stamp"
     return set(stamp.read_text(encoding="utf-8").splitlines()) if stamp.exists() else set()
 
 
 def mark(folder: Path, steps: set[str]) -> None:
-    """Marks steps as done; the mark goes when the folder goes."""
+    """Mark steps as done, in the folder that they create."""
     text = "\n".join(sorted(steps)) + "\n"
     (folder / "bootstrap-stamp").write_text(text, encoding="utf-8")
 
 
 def create_venv(with_ros: bool) -> None:
-    """Makes an empty ``.venv`` that sees the sources as an editable installation would."""
+    """Create an empty ``.venv`` whose path contains the sources, as an editable installation."""
     if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
         raise SetupError("Python's venv module is missing: apt install python3-venv")
-    for built in ("build", "install"):  # they name the interpreter of the .venv before
+    for built in ("build", "install"):  # they contain the path of the previous interpreter
         shutil.rmtree(ROOT / built, ignore_errors=True)
     command = [sys.executable, "-m", "venv", "--clear", str(VENV)]
     command += ["--system-site-packages"] if with_ros else []
-    output, failed = run(f"making .venv with Python {platform.python_version()}", command)
+    output, failed = run(f"creating .venv with Python {platform.python_version()}", command)
     if failed:
-        raise SetupError(f"no .venv could be made: {last_line(output)}")
+        raise SetupError(f".venv cannot be created: {last_line(output)}")
     site_packages = next(VENV.glob("lib/python3*/site-packages"))
     lines = "".join(f"{source}\n" for source in SOURCES)
     (site_packages / "ampc_workspace.pth").write_text(lines, encoding="utf-8")
 
 
 def install(requirements: Sequence[Path]) -> None:
-    """Installs locked files with pip: only what has the right hash, and wheels, not to compile."""
+    """Install lock files with pip: verified hashes and wheels only, no compilation."""
     command = [str(PYTHON), "-m", "pip", "install", "--retries=2", "--require-hashes"]
     command += ["--disable-pip-version-check"]
     command += ["--only-binary=:all:", "--no-binary=empy"]  # EmPy is pure Python without a wheel
@@ -178,19 +191,19 @@ def install(requirements: Sequence[Path]) -> None:
 
 
 def explain_pip(output: str, version: str, machine: str) -> str:
-    """Turns what pip wrote before it gave up into one sentence: the cause and the way out.
+    """Return cause and remedy of a failure of pip in one sentence.
 
     Args:
-        output: everything pip wrote.
-        version: of Python.
-        machine: as `platform.machine` names it.
+        output: Output of pip.
+        version: Python version.
+        machine: Result of `platform.machine()`.
     """
     if NO_NETWORK.search(output):
-        return "the package index cannot be reached: check network and proxy and run this again"
+        return "the package index cannot be reached: check network and proxy, then run this again"
     if NO_COMPILER.search(output):
-        return "pip has to compile a package, without a compiler: apt install build-essential"
+        return "a package must be compiled but there is no compiler: apt install build-essential"
     if "DO NOT MATCH THE HASHES" in output:
-        return "a package that came is not the one that was locked (lock/): do not use that index"
+        return "the hash of a package differs from the lock file (lock/): do not use that index"
     if "No space left on device" in output:
         return "the disk is full: .venv needs about 1 GB"
     if wheel := NO_WHEEL.search(output):
@@ -202,7 +215,7 @@ def explain_pip(output: str, version: str, machine: str) -> str:
 
 
 def build() -> None:
-    """Builds the colcon workspace with the Python of ``.venv``."""
+    """Build the colcon workspace with the Python of ``.venv``."""
     output, failed = run("building the workspace", [str(PYTHON), "-m", "colcon", "build"])
     if failed:
         cause = re.search(r"^\w*Error: .*", output, re.MULTILINE)
@@ -211,7 +224,7 @@ def build() -> None:
 
 
 def compile_code() -> None:
-    """Compiles what numba compiles, so that the first drive does not have to."""
+    """Compile the numba functions, so that the first drive does not wait for them."""
     command = [str(PYTHON), "-m", "launch_scripts.compile_all"]
     output, failed = run("compiling control tick and simulated car", command)
     if failed:
@@ -219,10 +232,10 @@ def compile_code() -> None:
 
 
 def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
-    """Runs a command in the root, shows how long it takes, and logs what it writes.
+    """Run a command in the root folder, show its duration, and log its output.
 
     Returns:
-        What the command wrote, and whether it failed.
+        Output of the command, and whether it failed.
     """
     start = time.monotonic()
     print(f"bootstrap: {title} ...", end="", flush=True)
@@ -237,9 +250,9 @@ def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
 
 
 def last_line(output: str) -> str:
-    """The last line that says something."""
+    """Return the last line that is not empty."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
-    return lines[-1] if lines else "without a word"
+    return lines[-1] if lines else "no output"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Installs launch_scripts as an ament_python package."""
+"""Install launch_scripts as an ament_python package."""
 
 from setuptools import find_packages, setup
 
@@ -7,13 +7,13 @@ PACKAGE = "launch_scripts"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Where the parts meet: start script, set-up and tests of AMPC for ROS 2.",
+    description="User commands of AMPC for ROS 2: set-up, start, report, replay, tuning.",
     author="AMPC for ROS 2 developers",
     author_email="maintainers@ampc-ros.example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=[PACKAGE, *(f"{PACKAGE}.{name}" for name in find_packages())],
-    package_dir={PACKAGE: "."},  # the commands are plain scripts at the root of this folder
+    package_dir={PACKAGE: "."},  # the commands are scripts in this folder
     package_data={"": ["*.css", "*.html", "*.js", "*.json", "*.xml", "*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

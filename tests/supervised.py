@@ -14,7 +14,7 @@ from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from launch_scripts.run.simulated import SimulatedDrive
-from tests.workshop.acceptance.trials import Trial, believed_vehicle, judged, plant, scenario_of
+from tests.workshop.acceptance.trials import Trial, assumed_vehicle, plant, scenario_of, with_errors
 
 Fault = Callable[[float], bool]
 """Whether a fault is active at a time [s]."""
@@ -68,7 +68,7 @@ def supervised(
     """
     steers = supervisor or Supervisor(config)
     policy = TickPolicy(steers)
-    vehicle = believed_vehicle(trial)
+    vehicle = assumed_vehicle(trial)
     scenario = scenario_of(trial, vehicle)
     simulation, planner = plant(trial, vehicle, scenario), SpeedPlanner(scenario)
     steers.take_path(scenario.points, NANOSECONDS, NANOSECONDS)
@@ -88,4 +88,4 @@ def supervised(
         steering.append(steers.steering)
         simulation.advance(steers.steering, planner.target_speed(state), period_ns)
     done = Drive(states, np.array(steering), np.zeros(len(states)))
-    return Run(judged(done, scenario, vehicle), records, times)
+    return Run(with_errors(done, scenario, vehicle), records, times)

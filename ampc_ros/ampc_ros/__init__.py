@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import ampc_msgs_config  # noqa: F401 - sets one BLAS thread before numpy is imported
 
 if TYPE_CHECKING:
-    from ampc_ros import load_gains
     from ampc_ros.api import AdaptiveMpc, VehicleModel, load_vehicle, make_state
 
 __all__ = ["AdaptiveMpc", "VehicleModel", "load_gains", "load_vehicle", "make_state"]

@@ -10,7 +10,7 @@ from typing import Any
 from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.paths.path import Path, Progress
 from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
-from ampc_msgs_config.validation import check_range
+from ampc_msgs_config.validation import check_range, number
 from ampc_ros.configuration import (
     FILE_SEPARATOR,
     Choices,
@@ -26,7 +26,7 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 
-PERIOD_BOUNDS = {"low": 0.001, "high": 1.0, "unit": "s"}
+PERIOD_BOUNDS = number(0.001, 1.0, "s")
 """Bounds of the period of a custom controller, those of `sample_time`."""
 CUSTOM_ARGUMENTS = ("chassis", "steering", "settings", "base_link_to_cg")
 """Arguments that the class of a custom controller may have."""

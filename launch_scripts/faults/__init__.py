@@ -1,1 +1,1 @@
-"""Injected faults: schedule, kinds, changes to messages."""
+"""Fault injection: schedule, kinds, and their effects on messages."""

@@ -1,7 +1,7 @@
-"""What a fault does to a message on its way from a car to its controller: one small function each.
+"""Effects of faults on a message from the car to the controller, one function for each kind.
 
-It turns one message into those that arrive instead: none, one, or a thousand. It knows nothing of
-ROS; the offline loop and the node between simulator and controller share it.
+Each function returns the messages that arrive instead of the given one: none, one or many. They do
+not depend on ROS; the offline loop and the injector node share them.
 """
 
 import math
@@ -15,58 +15,58 @@ from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from launch_scripts.faults.messages import Memory, Message
 
 HEADING_NOISE = 0.1
-"""Of the heading, per noise of the position [rad/m]."""
+"""Standard deviation of the heading divided by that of the position [rad/m]."""
 
 
-def later(message: Message, seconds: float) -> Message:
-    """Let a message come in later [s]."""
+def delayed(message: Message, seconds: float) -> Message:
+    """Delay a message by a time [s]."""
     return message._replace(arrival_ns=message.arrival_ns + round(seconds * NANOSECONDS))
 
 
 def with_state(message: Message, **changes: float) -> list[Message]:
-    """Change numbers of a state."""
+    """Replace fields of a state."""
     return [message._replace(value=message.value._replace(**changes))]
 
 
 def drop(message: Message, memory: Memory) -> Sequence[Message]:
-    """Lose messages, each with the probability `amount`."""
+    """Drop each message with probability `amount`."""
     return [] if memory.rng.random() < memory.amount else [message]
 
 
 def silence(message: Message, memory: Memory) -> Sequence[Message]:
-    """Lose all: the peer is gone."""
+    """Drop all messages, as if the sender had stopped."""
     return []
 
 
 def delay(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let everything come in later."""
-    return [later(message, memory.amount)]
+    """Delay every message by `amount` [s]."""
+    return [delayed(message, memory.amount)]
 
 
 def jitter(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let everything come in later, by chance, in order."""
-    late = later(message, memory.amount * memory.rng.random())
+    """Delay every message by a random time up to `amount` [s], in order."""
+    late = delayed(message, memory.amount * memory.rng.random())
     memory.latest_ns = max(memory.latest_ns, late.arrival_ns)
     return [late._replace(arrival_ns=memory.latest_ns)]
 
 
 def reorder(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let everything come in later, by chance: messages overtake each other."""
-    return [later(message, memory.amount * memory.rng.random())]
+    """Delay every message by a random time up to `amount` [s]; the order can change."""
+    return [delayed(message, memory.amount * memory.rng.random())]
 
 
 def duplicate(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let everything come in twice."""
-    return [message, later(message, memory.amount)]
+    """Deliver every message twice, the copy `amount` later [s]."""
+    return [message, delayed(message, memory.amount)]
 
 
 def hold(message: Message, memory: Memory) -> Sequence[Message]:
-    """Keep everything back, then let it come in at once: a full queue that empties itself."""
+    """Hold all messages and deliver them at once at the end, as a full queue does."""
     return [message._replace(arrival_ns=max(memory.window.end_ns, message.arrival_ns))]
 
 
 def burst(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let old messages come in once more, all at once, before a new one."""
+    """Deliver `amount` old messages again, at once, before the first new one."""
     old, count = list(memory.history.get(message.topic, ())), round(memory.amount)
     if memory.begun or not old:
         return [message]
@@ -76,73 +76,73 @@ def burst(message: Message, memory: Memory) -> Sequence[Message]:
 
 
 def repeat(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let the last message come in again and again."""
+    """Deliver the last message before the fault again and again."""
     return [memory.last(message)._replace(arrival_ns=message.arrival_ns)]
 
 
 def freeze(message: Message, memory: Memory) -> Sequence[Message]:
-    """Hold the pose, under new stamps; the twist goes on."""
+    """Freeze the pose under new stamps; the twist stays current."""
     x, y, yaw = memory.last(message).value[1:4]
     return with_state(message, x=x, y=y, yaw=yaw)
 
 
 def nan(message: Message, memory: Memory) -> Sequence[Message]:
-    """Break one number."""
+    """Replace one field by NaN."""
     return with_state(message, **{memory.field: math.nan})
 
 
 def noise(message: Message, memory: Memory) -> Sequence[Message]:
-    """Shake position and heading; a negative amount is the mirror image of the same shaking."""
+    """Add noise to position and heading; a negative amount gives the mirrored noise."""
     size, state = memory.amount, message.value
     x, y, yaw = memory.rng.standard_normal(3)
     yaw = wrap_angle(state.yaw + HEADING_NOISE * size * yaw)
     return with_state(message, x=state.x + abs(size) * x, y=state.y + size * y, yaw=yaw)
 
 
-def shifted(message: Message, left: float) -> list[Message]:
-    """Move a pose to the left of where the car heads [m]."""
+def moved_left(message: Message, left: float) -> list[Message]:
+    """Move a pose to the left of its heading [m]."""
     state: VehicleState = message.value
     x, y = state.x - left * math.sin(state.yaw), state.y + left * math.cos(state.yaw)
     return with_state(message, x=x, y=y)
 
 
 def shift(message: Message, memory: Memory) -> Sequence[Message]:
-    """Move the position aside, from one message to the next."""
-    return shifted(message, memory.amount)
+    """Move the position to the left by `amount` [m]."""
+    return moved_left(message, memory.amount)
 
 
 def drift(message: Message, memory: Memory) -> Sequence[Message]:
-    """Move the position aside, more and more; at the end it jumps back."""
-    return shifted(message, memory.amount * memory.window.share(message.arrival_ns))
+    """Move the position to the left, linearly up to `amount` [m]; it jumps back at the end."""
+    return moved_left(message, memory.amount * memory.window.share(message.arrival_ns))
 
 
 def bias_heading(message: Message, memory: Memory) -> Sequence[Message]:
-    """Turn the heading."""
+    """Add `amount` to the heading [rad]."""
     return with_state(message, yaw=wrap_angle(message.value.yaw + memory.amount))
 
 
 def bias_speed(message: Message, memory: Memory) -> Sequence[Message]:
-    """Add to the speed."""
+    """Add `amount` to the speed [m/s]."""
     return with_state(message, v_x=message.value.v_x + memory.amount)
 
 
 def wrong_frame(message: Message, memory: Memory) -> Sequence[Message]:
-    """Tell everything in another frame."""
+    """Replace the frame."""
     return [message._replace(frame_id="odom")]
 
 
 def zero_quaternion(message: Message, memory: Memory) -> Sequence[Message]:
-    """Leave the orientation empty."""
+    """Replace the quaternion by zeros."""
     return [message._replace(length=0.0)]
 
 
 def clock(message: Message, memory: Memory) -> Sequence[Message]:
-    """Let stamps come from a clock that goes wrong."""
+    """Add `amount` to the stamps [s]."""
     return [message._replace(stamp_ns=message.stamp_ns + round(memory.amount * NANOSECONDS))]
 
 
 def restart(message: Message, memory: Memory) -> Sequence[Message]:
-    """Lose all; in the last `amount` seconds, let stamps count from zero."""
+    """Drop all messages; in the last `amount` seconds deliver them with stamps from zero."""
     back_ns = memory.window.end_ns - round(memory.amount * NANOSECONDS)
     if message.arrival_ns < back_ns:
         return []
@@ -150,58 +150,56 @@ def restart(message: Message, memory: Memory) -> Sequence[Message]:
 
 
 def bias_steering(message: Message, memory: Memory) -> Sequence[Message]:
-    """Add to the measured steering."""
+    """Add `amount` to the measured steering angle [rad]."""
     return [message._replace(value=message.value + memory.amount)]
 
 
 def freeze_steering(message: Message, memory: Memory) -> Sequence[Message]:
-    """Hold the measured steering, under new stamps."""
+    """Freeze the measured steering angle under new stamps."""
     return [message._replace(value=memory.last(message).value)]
 
 
 def with_points(message: Message, points: Array) -> list[Message]:
-    """Change a path."""
+    """Replace the points of a path."""
     return [message._replace(value=points)]
 
 
-def to_the_left(points: Array, left: Any) -> Array:
-    """Move each point of a path (n, 2) to its left, by (n,) [m]."""
-    along = np.gradient(points, axis=0)
+def move_points(message: Message, left: Any) -> list[Message]:
+    """Move each point of a path (n, 2) to the left of the path, by (n,) [m]."""
+    along = np.gradient(message.value, axis=0)
     along /= np.hypot(*along.T)[:, None]
-    return np.asarray(points + np.column_stack((-along[:, 1], along[:, 0])) * left[:, None])
+    normal = np.column_stack((-along[:, 1], along[:, 0]))
+    return with_points(message, np.asarray(message.value + normal * left[:, None]))
 
 
 def path_shift(message: Message, memory: Memory) -> Sequence[Message]:
-    """Move the whole path aside."""
-    return with_points(
-        message, to_the_left(message.value, np.full(len(message.value), memory.amount))
-    )
+    """Move the whole path to the left by `amount` [m]."""
+    return move_points(message, np.full(len(message.value), memory.amount))
 
 
 def path_step(message: Message, memory: Memory) -> Sequence[Message]:
-    """Move the second half of the path aside: a step in the middle."""
+    """Move the second half of the path to the left by `amount` [m]."""
     n = len(message.value)
-    return with_points(message, to_the_left(message.value, memory.amount * (np.arange(n) > n / 2)))
+    return move_points(message, memory.amount * (np.arange(n) > n / 2))
 
 
 def path_zigzag(message: Message, memory: Memory) -> Sequence[Message]:
-    """Move every other point of the path aside: bends that no car can drive."""
-    n = len(message.value)
-    return with_points(message, to_the_left(message.value, memory.amount * (np.arange(n) % 2)))
+    """Move every second point of the path to the left by `amount` [m]; no car can follow it."""
+    return move_points(message, memory.amount * (np.arange(len(message.value)) % 2))
 
 
 def path_nan(message: Message, memory: Memory) -> Sequence[Message]:
-    """Break one number of the path."""
+    """Replace one coordinate of the path by NaN."""
     points = message.value.copy()
     points[len(points) // 2, 1] = math.nan
     return with_points(message, points)
 
 
 def path_point(message: Message, memory: Memory) -> Sequence[Message]:
-    """Leave one point of the path."""
+    """Keep only the first point of the path."""
     return with_points(message, message.value[:1])
 
 
 def path_empty(message: Message, memory: Memory) -> Sequence[Message]:
-    """Leave no point of the path."""
+    """Remove all points of the path."""
     return with_points(message, message.value[:0])

@@ -1,66 +1,67 @@
-"""Messages on their way from a car to its controller, and what a fault remembers of them."""
+"""Messages from a car to its controller, and the state that a fault keeps about them."""
 
 from collections import deque
 from typing import Any, NamedTuple
 
 ODOM, STEERING, PATH, NODE = "odom", "steering_state", "reference_path", "controller"
-"""What a fault befalls; the last one is the controller itself, which has no messages."""
+"""Targets of a fault; the last one is the controller itself, which has no messages."""
 MAP = "map"
 KEPT = 1000
-"""Messages remembered: so many fill a queue."""
+"""Number of messages in the history of a topic."""
 
 
 class Message(NamedTuple):
-    """Something on its way to the controller."""
+    """A message to the controller."""
 
     topic: str
     arrival_ns: int
-    """When it comes in [ns]."""
+    """Time of arrival [ns]."""
     stamp_ns: int
-    """Which it carries [ns]; that in the value does not count."""
+    """Stamp of the header [ns]; the stamp in the value is ignored."""
     value: Any
-    """A VehicleState, points (n, 2) of a path [m], or a road-wheel angle [rad]."""
+    """VehicleState, points (n, 2) of a path [m], or road-wheel angle [rad]."""
     frame_id: str = MAP
     length: float = 1.0
-    """Of the quaternion of a pose."""
+    """Norm of the quaternion of a pose."""
 
 
 class Window(NamedTuple):
-    """When a fault begins and ends; the end is outside [ns]."""
+    """Half-open time interval of a fault [ns]."""
 
     start_ns: int
     end_ns: int
 
     def holds(self, now_ns: int) -> bool:
-        """Whether the fault is there."""
+        """Check whether the fault is active at a time [ns]."""
         return self.start_ns <= now_ns < self.end_ns
 
     def share(self, now_ns: int) -> float:
-        """How far it has gone, in [0, 1)."""
+        """Return the elapsed share of the interval, in [0, 1)."""
         return (now_ns - self.start_ns) / (self.end_ns - self.start_ns)
 
 
 class Memory:
-    """What one fault knows on its way: its time, its size, the messages so far, its chance."""
+    """State of one fault: interval, amount, random generator, and earlier messages."""
 
     def __init__(self, window: Window, amount: float, field: str, rng: Any) -> None:
-        """Begin without messages.
+        """Start without messages.
 
         Args:
-            window: Of the fault.
-            amount: How much; each kind has its own meaning and unit.
-            field: Of the state, for the kinds that befall one number.
-            rng: numpy Generator; all chance comes from it.
+            window: Interval of the fault.
+            amount: Size of the fault; meaning and unit depend on its kind.
+            field: Field of the state, for kinds that change a single number.
+            rng: numpy Generator, the only source of randomness.
         """
         self.window, self.amount, self.field, self.rng = window, amount, field, rng
         self.history: dict[str, deque[Message]] = {}
-        """The newest messages before this one, by topic; shared by all faults of a line."""
+        """Newest earlier messages by topic; shared by all faults of an injector."""
         self.held: dict[str, Message] = {}
+        """Last message before the fault, by topic."""
         self.latest_ns = 0
-        """Arrival of the last message let through in order [ns]."""
+        """Arrival of the last message that was delivered in order [ns]."""
         self.begun = False
 
     def last(self, message: Message) -> Message:
-        """Give the last message of a topic before the fault; where there was none, this one."""
+        """Return the last message of this topic before the fault, or this one if it is first."""
         before = self.history.get(message.topic)
         return self.held.setdefault(message.topic, before[-1] if before else message)

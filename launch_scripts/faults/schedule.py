@@ -81,77 +81,71 @@ def load_plan(name: str) -> Plan:
 
 
 class Active(NamedTuple):
-    """A fault, and what it knows."""
+    """A fault with its state."""
 
     fault: Fault
     memory: Memory
 
 
-def memory_of(plan: Plan, i: int) -> Memory:
-    """Give the memory with which a fault begins; each has its own chance."""
-    fault = plan.faults[i]
-    rng = np.random.default_rng([plan.seed, i])
-    return Memory(fault.window, fault.amount or 0.0, fault.field, rng)
-
-
 class Injector:
-    """A line of messages with faults in it: what is put in comes out at its time, or never.
+    """Queue of messages that applies a plan of faults.
 
-    The same plan and the same messages give the same line; each fault has its own chance, so that
-    one more fault leaves the others as they are.
+    The same plan and the same messages give the same result. Each fault has its own random
+    generator, so an additional fault does not change the others.
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Stand empty at the start of a drive."""
-        config = [Active(fault, memory_of(plan, i)) for i, fault in enumerate(plan.faults)]
-        self.later = sorted(config, key=lambda each: each.fault.start, reverse=True)
-        """Faults to come, the next one last."""
+        """Start without messages at the start of a drive."""
+        faults = []
+        for i, fault in enumerate(plan.faults):
+            rng = np.random.default_rng([plan.seed, i])
+            memory = Memory(fault.window, fault.amount or 0.0, fault.field, rng)
+            faults.append(Active(fault, memory))
+        self.later = sorted(faults, key=lambda each: each.fault.start, reverse=True)
+        """Future faults, the next one last."""
         self.current: list[Active] = []
         self.history: dict[str, deque[Message]] = {}
         self.waiting: list[tuple[int, int, Message]] = []
+        """Heap of arrival [ns], order of insertion, and message."""
         self.order = count()
 
     def faults(self, now_ns: int) -> list[Active]:
-        """Give the faults that are there now; time only goes on [ns]."""
+        """Return the active faults; time must not decrease between calls [ns]."""
         while self.later and self.later[-1].memory.window.start_ns <= now_ns:
             self.current.append(self.later.pop())
         self.current = [each for each in self.current if each.memory.window.holds(now_ns)]
         return self.current
 
     def put(self, message: Message) -> None:
-        """Send a message on its way."""
-        for each in self.changed(message):
-            heapq.heappush(self.waiting, (each.arrival_ns, next(self.order), each))
-        self.history.setdefault(message.topic, deque(maxlen=KEPT)).append(message)
-
-    def changed(self, message: Message) -> Sequence[Message]:
-        """Give what arrives in place of a message; several faults act one after the other."""
+        """Apply the active faults to a message and queue the result."""
         messages: Sequence[Message] = [message]
         for fault, memory in self.faults(message.arrival_ns):
             kind = KINDS[fault.kind]
             if kind.change and message.topic in kind.topics:
                 memory.history = self.history
                 messages = [out for each in messages for out in kind.change(each, memory)]
-        return messages
+        for each in messages:
+            heapq.heappush(self.waiting, (each.arrival_ns, next(self.order), each))
+        self.history.setdefault(message.topic, deque(maxlen=KEPT)).append(message)
 
     def due(self, now_ns: int) -> list[Message]:
-        """Take out what has come in by now, in the order of arrival [ns]."""
-        found = []
+        """Remove and return the messages that have arrived, in the order of arrival [ns]."""
+        messages = []
         while self.waiting and self.waiting[0][0] <= now_ns:
-            found.append(heapq.heappop(self.waiting)[2])
-        return found
+            messages.append(heapq.heappop(self.waiting)[2])
+        return messages
 
     @property
     def next_ns(self) -> float:
-        """Arrival of the next message; infinite: there is none [ns]."""
+        """Arrival of the next message; infinite without messages [ns]."""
         return self.waiting[0][0] if self.waiting else float("inf")
 
     def is_on(self, kind: str, now_ns: int) -> bool:
-        """Whether a fault of a kind is there now."""
+        """Check whether a fault of a kind is active [ns]."""
         return any(each.fault.kind == kind for each in self.faults(now_ns))
 
     def clock_ns(self, now_ns: int) -> int:
-        """Give what the controller's own clock shows at a time [ns]."""
+        """Return the time of the controller's own clock [ns]."""
         faults = (each.fault for each in self.faults(now_ns))
         jumps = (fault.amount or 0.0 for fault in faults if fault.kind == "clock_jump")
         return now_ns + round(sum(jumps) * NANOSECONDS)

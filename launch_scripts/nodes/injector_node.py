@@ -1,8 +1,9 @@
-"""Node `injector`: stands between simulator and controller and spoils what the controller gets.
+"""Node `injector`: applies a schedule of faults to the inputs of the controller.
 
-`python launch_scripts/start.py --faults FILE` starts it, with the controller's inputs renamed to
-what it publishes: `faulty/odom`, `faulty/steering_state`, `faulty/reference_path`. All others, the
-recorder among them, see the car as it is. Faults begin to count with the first steering command.
+`python launch_scripts/start.py --faults FILE` starts it and remaps the inputs of the controller to
+its topics `faulty/odom`, `faulty/steering_state` and `faulty/reference_path`. All other nodes,
+including the recorder, receive the original messages. Fault times count from the first steering
+command.
 """
 
 import sys
@@ -24,29 +25,31 @@ from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import Injector, load_plan
 
 PERIOD = 0.005
-"""From one look at what is late to the next [s]."""
+"""Period of the check for delayed messages [s]."""
 PATH_PERIOD = 0.5
-"""The path, which our planner publishes once, comes anew: else it could not fail on the way [s]."""
+"""Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
 TYPES = {ODOM: Odometry, STEERING: JointState, PATH: PathMessage}
 
 
 class InjectorNode(BaseNode):
-    """Passes messages on as a plan of faults lets them."""
+    """Forwards messages to the controller, changed by the active faults."""
 
     def __init__(self) -> None:
-        """Read the plan, and join the line.
+        """Load the schedule and create publishers, subscriptions and timers.
 
         Raises:
-            ValueError: The plan is wrong, or asks for what a node cannot do.
+            ValueError: The schedule is invalid, or needs a clock that a node cannot change.
         """
         super().__init__("injector")
-        plan = load_plan(declare(self, "faults", "example", "shipped faults, or YAML file"))
+        plan = load_plan(declare(self, "faults", "example", "name of shipped faults, or YAML file"))
         if self.lock_step:
             raise ValueError("faults need real time: lock_step must be false")
         if any(fault.kind == "clock_jump" for fault in plan.faults):
-            raise ValueError("faults: clock_jump is for inject.py; here only stamps can jump")
-        self.line = Injector(plan)
-        self.begun_ns = -1
+            raise ValueError(
+                "faults: kind = clock_jump works only in the offline fault matrix; use stamp_jump"
+            )
+        self.injector = Injector(plan)
+        self.start_ns = -1
         self.qp_fails = False
         self.path: PathMessage | None = None
         self.outputs = {topic: self.output(topic) for topic in TYPES}
@@ -61,57 +64,57 @@ class InjectorNode(BaseNode):
         self.get_logger().info(f"ready: {len(plan.faults)} faults")
 
     def output(self, topic: str) -> Any:
-        """Offer what the controller gets."""
+        """Create the publisher of a faulty topic."""
         qos = ros.LATCHED if topic == PATH else ros.RELIABLE
         return self.create_publisher(TYPES[topic], ros.FAULTY + topic, qos)
 
     @property
     def since_ns(self) -> int:
-        """Time since the first command; before it, less than the start of any fault [ns]."""
-        return self.now_ns - self.begun_ns if self.begun_ns >= 0 else -NANOSECONDS
+        """Time since the first command [ns]; negative before it, so that no fault is active."""
+        return self.now_ns - self.start_ns if self.start_ns >= 0 else -NANOSECONDS
 
     def on_command(self, _: JointState) -> None:
-        """Begin to count where the drive begins."""
-        if self.begun_ns < 0:
-            self.begun_ns = self.now_ns
-            self.get_logger().info("the drive has begun: faults count from here")
+        """Start the fault schedule with the first command."""
+        if self.start_ns < 0:
+            self.start_ns = self.now_ns
+            self.get_logger().info("drive started: fault times count from now")
 
     def on_message(self, topic: str, message: Any) -> None:
-        """Send a message on its way."""
+        """Pass a message to the injector; reject it if it is already invalid."""
         if topic == PATH:
             self.path = message
         try:
-            self.line.put(unpacked(topic, message, self.since_ns))
+            self.injector.put(unpack(topic, message, self.since_ns))
         except ValueError as error:
             self.reject(error)
         self.on_timer()
 
     def on_path_timer(self) -> None:
-        """Send the path once more."""
+        """Republish the path with a new stamp."""
         if self.path is not None:
             self.path.header.stamp = ros.time_message(self.now_ns)
             self.on_message(PATH, self.path)
 
     def on_timer(self) -> None:
-        """Publish what arrives now, and let solutions fail where that is planned."""
-        for message in self.line.due(self.since_ns):
-            self.outputs[message.topic].publish(packed(message))
-        fails = self.line.is_on("qp_fault", self.since_ns)
+        """Publish the messages that are due, and switch the QP fault of the controller."""
+        for message in self.injector.due(self.since_ns):
+            self.outputs[message.topic].publish(pack(message))
+        fails = self.injector.is_on("qp_fault", self.since_ns)
         if fails != self.qp_fails and self.controller.services_are_ready():
             self.qp_fails = fails
             self.controller.set_parameters([Parameter("qp_fault", value=fails)])
 
     def on_diagnostics(self) -> None:
-        """Report the faults that are there."""
-        there = [each.fault.kind for each in self.line.faults(self.since_ns)]
-        self.report(self.now_ns, f"injected: {', '.join(there)}" if there else "", {})
+        """Report the active faults."""
+        active = [each.fault.kind for each in self.injector.faults(self.since_ns)]
+        self.report(self.now_ns, f"injected: {', '.join(active)}" if active else "", {})
 
 
-def unpacked(topic: str, message: Any, arrival_ns: int) -> Message:
-    """Unpack a message that comes in now.
+def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
+    """Unpack a ROS message that arrives now.
 
     Raises:
-        ValueError: It is wrong without a fault already.
+        ValueError: The message is invalid without any fault.
     """
     stamp_ns = ros.nanoseconds(message.header.stamp)
     if topic == ODOM:
@@ -121,36 +124,36 @@ def unpacked(topic: str, message: Any, arrival_ns: int) -> Message:
     return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message).value)
 
 
-def packed(message: Message) -> Any:
-    """Pack what the controller gets."""
+def pack(message: Message) -> Any:
+    """Pack a message for the controller."""
     if message.topic == ODOM:
-        packed = odometry(message)
+        result = odometry(message)
     elif message.topic == PATH:
-        packed = path(message)
+        result = path(message)
     else:
-        packed = ros.joint_message(message.stamp_ns, message.value, 0.0)
-    packed.header.frame_id = message.frame_id if message.topic != STEERING else ros.BASE_LINK
-    return packed
+        result = ros.joint_message(message.stamp_ns, message.value, 0.0)
+    result.header.frame_id = message.frame_id if message.topic != STEERING else ros.BASE_LINK
+    return result
 
 
 def odometry(message: Message) -> Odometry:
-    """Pack a state, its quaternion as long as the fault wants it."""
-    packed = ros.odometry_message(message.value._replace(stamp_ns=message.stamp_ns))
-    orientation = packed.pose.pose.orientation
+    """Pack a state; the fault determines the norm of the quaternion."""
+    result = ros.odometry_message(message.value._replace(stamp_ns=message.stamp_ns))
+    orientation = result.pose.pose.orientation
     orientation.z, orientation.w = orientation.z * message.length, orientation.w * message.length
-    return packed
+    return result
 
 
 def path(message: Message) -> PathMessage:
-    """Pack a path, also one of a single point, or of none."""
+    """Pack a path, including one without or with a single point."""
     if len(message.value) > 1:
         return ros.path_message(message.value, message.stamp_ns)
-    packed = PathMessage()
-    packed.header.stamp = ros.time_message(message.stamp_ns)
-    packed.poses = [PoseStamped() for _ in message.value]
-    for pose, (x, y) in zip(packed.poses, message.value.tolist(), strict=True):
+    result = PathMessage()
+    result.header.stamp = ros.time_message(message.stamp_ns)
+    result.poses = [PoseStamped() for _ in message.value]
+    for pose, (x, y) in zip(result.poses, message.value.tolist(), strict=True):
         pose.pose.position.x, pose.pose.position.y = x, y
-    return packed
+    return result
 
 
 def main() -> int:

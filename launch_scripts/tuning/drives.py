@@ -1,4 +1,4 @@
-"""The drives that gains are judged by: roads, and cars that are not what the controller knows."""
+"""Drives that determine the fitness: roads, and cars that differ from the internal model."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.paths.curves import q
 from ampc_msgs_config.scenarios.scenario import POINT_SPACING, RUN_OUT, Scenario, SpeedProfile
 from ampc_msgs_config.scenarios.wind import Wind
@@ -16,47 +15,51 @@ from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
 SMALL_STEP = 1.0
-"""Step of a node whose lateral reference is 0 and would ask for nothing [m]."""
+"""Step at a node with lateral reference 0 [m]."""
 STEP_DURATION = 10.0
-"""Of a step to a constant lateral reference [s]."""
+"""Duration of a step to a constant lateral reference [s]."""
 LANE = 3.5
-"""Lateral way of the lane change [m]."""
+"""Lateral displacement of the lane change [m]."""
 PEAK = 10.0 / math.sqrt(3.0)
 """Largest second derivative of q."""
 ACCELERATION = 2.5
-"""Largest lateral acceleration that the lane change asks for [m/s^2]."""
+"""Largest lateral acceleration of the lane change [m/s^2]."""
 CURVATURE = 0.1
-"""Largest curvature of it: at walking speed the steering's angle is the limit [1/m]."""
+"""Largest curvature of the lane change; at walking speed the steering angle limits it [1/m]."""
 LANE_CHANGE_START, LANE_CHANGE_DURATION = 4.0, 14.0
-"""[s]"""
+"""Start and duration of the drive with the lane change [s]."""
 SMALL_OFFSET, LARGE_OFFSET = 0.1, 3.0
-"""Of the start from the path, on the lane change and where a road is joined [m]."""
+"""Initial cross-track error of the lane change and of joining a road [m]."""
 GUST = Wind(kind="gust", start=9.0, end=11.0, speed=15.0)
 """Side wind after the lane change."""
 JOIN_DURATION = 14.0
-"""Of joining a straight road [s]."""
-JUDGED_FROM = {"lane change": 3.0, "joining": 9.0}
-"""When the return from the offset has to be over [s]: how fast it was is nobody's gain."""
+"""Duration of joining a straight road [s]."""
+SETTLING_DEADLINE = {"lane change": 3.0, "joining": 9.0}
+"""Start of the evaluation [s]; an earlier return to the path earns nothing."""
 
 
 class Plant(NamedTuple):
-    """One drive. What stands from `friction` on, the controller does not know."""
+    """One drive of a simulated car.
+
+    The fields from `friction` on are unknown to the controller. Names and order of the fields are
+    part of `DEFINITION`, whose hash is stored in every tuned table.
+    """
 
     name: str
     road: str = "lane change"
     """Key of ROADS."""
     known_delay: float = 0.0
-    """Of the steering, beyond that of the vehicle file [s]."""
+    """Steering delay that the controller knows, in addition to the vehicle file [s]."""
     known_lag: float = 0.0
-    """The same of its lag [s]."""
+    """Steering lag that the controller knows, in addition to the vehicle file [s]."""
     friction: float | None = None
-    """Of the road; None: that of the tyres."""
+    """Friction coefficient of the road; None: that of the tyres."""
     stiffness: float = 1.0
-    """Factor on that of all tyres."""
+    """Factor on the cornering stiffness of all tyres."""
     delay: float = 0.0
-    """Of the steering, beyond the known one [s]."""
+    """Steering delay that the controller does not know [s]."""
     seed: int | None = None
-    """Of the measurement noise x1; None: no noise."""
+    """Seed of the measurement noise `x1`; None: no noise."""
 
 
 PLANTS = (
@@ -75,56 +78,60 @@ PLANTS = (
     Plant("joining, friction 0.3", "joining", friction=0.3),
     Plant("joining, 80 ms unknown delay", "joining", delay=0.08),
 )
-"""Of fitness `robust`. Delays of up to 90 ms that nobody knows of keep the gains away from the
-dead-beat ones that win where the mean squared error of one nominal drive is all that counts."""
+"""Drives of fitness `robust`. Unknown delays of up to 90 ms exclude the nearly dead-beat gains that
+minimise the mean squared error of a single nominal drive."""
 
 
 def lane_change(v: float) -> Scenario:
-    """Give a lane change with an offset before it and a gust after it, at a speed [m/s]."""
+    """Return a lane change with an initial offset and a final gust, at a speed [m/s]."""
     length = math.sqrt(LANE * PEAK / min(ACCELERATION / v**2, CURVATURE))
     x = np.arange(0.0, v * LANE_CHANGE_DURATION + RUN_OUT, POINT_SPACING)
     points = np.column_stack((x, LANE * q((x - LANE_CHANGE_START * v) / length)))
-    scenario = Scenario("lane change", points, steady(v), LANE_CHANGE_DURATION, (GUST,))
+    scenario = Scenario("lane change", points, constant_speed(v), LANE_CHANGE_DURATION, (GUST,))
     return scenario._replace(start_offset=SMALL_OFFSET)
 
 
 def straight(v: float, duration: float, offset: float) -> Scenario:
-    """Give a straight road, begun beside it; speed [m/s], duration [s], offset to the left [m]."""
+    """Return a straight road; speed [m/s], duration [s], initial offset to the left [m]."""
     x = np.arange(0.0, v * duration + RUN_OUT, POINT_SPACING)
     points = np.column_stack((x, np.zeros_like(x)))
-    return Scenario("straight", points, steady(v), duration, start_offset=offset)
+    return Scenario("straight", points, constant_speed(v), duration, start_offset=offset)
 
 
 def joining(v: float) -> Scenario:
-    """Give a straight road that is joined from the large offset, at a speed [m/s]."""
+    """Return a straight road that is joined from the large offset, at a speed [m/s]."""
     return straight(v, JOIN_DURATION, LARGE_OFFSET)
 
 
 def step_to(v: float, reference: float) -> Scenario:
-    """Give a step to a lateral reference [m] at a speed [m/s]: a road as far to the side."""
+    """Return a step to a lateral reference [m] at a speed [m/s]: a road with this offset."""
     return straight(v, STEP_DURATION, -(reference or SMALL_STEP))
 
 
-def steady(v: float) -> SpeedProfile:
-    """Give a constant speed [m/s]."""
+def constant_speed(v: float) -> SpeedProfile:
+    """Return a speed profile of constant speed [m/s]."""
     return SpeedProfile(False, np.array([0.0]), np.array([v]))
 
 
 ROADS: dict[str, Callable[[float], Scenario]] = {"lane change": lane_change, "joining": joining}
 
 
-def believed(plant: Plant, vehicle: Vehicle) -> Vehicle:
-    """Give the car that the controller knows."""
+def nominal_vehicle(plant: Plant, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle that the controller assumes."""
     steering = vehicle.steering
     delay, lag = steering.delay + plant.known_delay, steering.lag + plant.known_lag
     return vehicle._replace(steering=replace(steering, delay=delay, lag=lag))
 
 
-def real(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulation:
-    """Give the car that it gets, at the start of the drive."""
-    steering = believed(plant, vehicle).steering
+def simulated_car(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulation:
+    """Return the simulation of the actual car at the start of the drive."""
+    steering = nominal_vehicle(plant, vehicle).steering
     steering = replace(steering, delay=steering.delay + plant.delay)
-    chassis = softened(vehicle.chassis, plant.stiffness)
+    chassis = replace(
+        vehicle.chassis,
+        front_cornering_stiffness=plant.stiffness * vehicle.chassis.front_cornering_stiffness,
+        rear_cornering_stiffness=plant.stiffness * vehicle.chassis.rear_cornering_stiffness,
+    )
     options: dict[str, Any] = {"friction": plant.friction}
     if plant.seed is not None:
         options["noise"] = load(MeasurementNoise, find("noise", "x1"))
@@ -132,20 +139,10 @@ def real(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulation:
     return Simulation(vehicle._replace(chassis=chassis, steering=steering), scenario, **options)
 
 
-def softened(chassis: ChassisParameters, factor: float) -> ChassisParameters:
-    """Give a chassis on tyres of another stiffness."""
-    front, rear = chassis.front_cornering_stiffness, chassis.rear_cornering_stiffness
-    return replace(
-        chassis,
-        front_cornering_stiffness=factor * front,
-        rear_cornering_stiffness=factor * rear,
-    )
-
-
 DEFINITION = repr(
     (
         (PLANTS, SMALL_STEP, STEP_DURATION, LANE, ACCELERATION, CURVATURE, LANE_CHANGE_START),
-        (LANE_CHANGE_DURATION, SMALL_OFFSET, LARGE_OFFSET, GUST, JOIN_DURATION, JUDGED_FROM),
+        (LANE_CHANGE_DURATION, SMALL_OFFSET, LARGE_OFFSET, GUST, JOIN_DURATION, SETTLING_DEADLINE),
     )
 )
-"""All numbers above, for a table's provenance."""
+"""All numbers above; its hash is part of the provenance of a table."""

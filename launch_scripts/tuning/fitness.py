@@ -20,12 +20,12 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import check_conditioning
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.drives import (
-    JUDGED_FROM,
     PLANTS,
     ROADS,
+    SETTLING_DEADLINE,
     Plant,
-    believed,
-    real,
+    nominal_vehicle,
+    simulated_car,
     step_to,
 )
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING
@@ -134,7 +134,7 @@ def fitness_of_log(node: Node, log: Array) -> Array:
         cost = np.mean(error**2, axis=(1, 2))
     else:
         period = prepared(node).period_ns / 1e9
-        begin = [round(JUDGED_FROM[plant.road] / period) for plant in PLANTS]
+        begin = [round(SETTLING_DEADLINE[plant.road] / period) for plant in PLANTS]
         squares = [np.mean(error[:, i, b:] ** 2, axis=1) for i, b in enumerate(begin)]
         way = node.speed * period * np.diff(steering, axis=2)
         effort = INCREMENT_WEIGHT * np.mean(way**2, axis=2)
@@ -158,16 +158,16 @@ def prepared(node: Node) -> FleetRun:
     """Return the fleet of a node, which is prepared once and never changed."""
     if node.kind == "paper":
         road = step_to(node.speed, node.reference)
-        entry = _entry(node, Plant("step"), real(Plant("step"), node.vehicle, road))
+        entry = _entry(node, Plant("step"), simulated_car(Plant("step"), node.vehicle, road))
         return prepare_fleet([entry], LOST_ERROR[node.kind])
     roads = {name: road(node.speed) for name, road in ROADS.items()}
-    cars = [(plant, real(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
+    cars = [(plant, simulated_car(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
     return prepare_fleet([_entry(node, *car) for car in cars], LOST_ERROR[node.kind])
 
 
 def _entry(node: Node, plant: Plant, simulation: Simulation) -> Entry:
     settings = load(ControllerSettings, find("controllers", SETTINGS))
-    table, known = GainTable([node.speed], [0.0], [GENTLE]), believed(plant, node.vehicle)
+    table, known = GainTable([node.speed], [0.0], [GENTLE]), nominal_vehicle(plant, node.vehicle)
     if node.formulation == "paper":
         return Entry(simulation, LateralMpc(known.chassis, settings, table))
     return Entry(simulation, PreviewMpc(known.chassis, known.steering, settings, table))

@@ -1,84 +1,87 @@
-"""Proof before use: a tuned table against one gain set, chance, Table 3 and what is shipped."""
+"""Proof and files of a tuning.
+
+The tuned table is compared with the best single gain set, random sampling, Table 3 of the paper
+and the shipped table. The report is shown on the screen and written as YAML and JSON.
+"""
 
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from rich.box import SIMPLE_HEAD
-from rich.table import Table as Lines
+from rich.table import Table
 
-from ampc_msgs_config.types import Array
 from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
-from launch_scripts.tuning.fitness import Node, fitness
-from launch_scripts.tuning.search import Found
+from launch_scripts.tuning.fitness import FITNESS, Node, fitness
+from launch_scripts.tuning.search import SearchResult
 from launch_scripts.tuning.task import (
     RANDOM,
     SINGLE,
     TABLE,
-    Task,
+    TuningTask,
+    build_table,
+    describe_task,
     geometric_mean,
-    held_out,
-    jobs_of,
-    lookup,
+    held_out_nodes,
+    is_reachable,
     nodes_of,
-    reached,
+    searches_of,
 )
 from launch_scripts.tuning.workers import Workers
 
-WORTH = 0.10
-"""Share by which a table has to beat the single gain set."""
+MIN_ADVANTAGE = 0.10
+"""Share of the single set's fitness that a table must save."""
 NO_SINGLE = "no single set found"
-Content = dict[tuple[float, float], Gains]
-Outcome = dict[str, Found]
 
 
 class Candidate(NamedTuple):
-    """Gains by speed and lateral reference that are judged."""
+    """A gain table with its fitness."""
 
     name: str
     table: GainTable
     fitness: tuple[float, ...] = ()
-    """At the reached nodes of the grid."""
+    """Fitness at the reachable nodes of the grid."""
     held_out: tuple[float, ...] = ()
-    """Half-way between its speeds."""
+    """Fitness half-way between the speeds of the grid."""
 
     @property
     def overall(self) -> float:
-        """Geometric mean over the nodes and half-way between them."""
+        """Geometric mean over the nodes and the held-out speeds."""
         return mean((*self.fitness, *self.held_out))
 
     @property
     def at_nodes(self) -> float:
-        """Geometric mean over the nodes; infinite where a car is lost at one of them."""
+        """Geometric mean over the nodes; infinite where a car leaves the road at one of them."""
         return mean(self.fitness)
 
     @property
     def between(self) -> float:
-        """The same half-way between the speeds, which no search saw; of one speed the node."""
+        """Geometric mean over the held-out speeds; with a single speed, the fitness there."""
         return mean(self.held_out or self.fitness)
 
 
-class Report(NamedTuple):
-    """What a tuning came to."""
+class TuningReport(NamedTuple):
+    """Result of a tuning."""
 
     table: Candidate
+    """The best tuned table."""
     single: Candidate
+    """The best single gain set."""
     others: tuple[Candidate, ...]
-    """The same with other seeds, and what they are compared with."""
-    found: Content
-    """Gains of the table's nodes that have some."""
+    """Results of the other seeds, random sampling, and shipped tables."""
     not_reached: tuple[tuple[float, float], ...]
-    """Speed and lateral reference of the others."""
+    """Speed and lateral reference of the nodes without gains of their own."""
 
     @property
-    def gain(self) -> float:
-        """Share of the single set's fitness that the table saves, at the nodes and between them.
+    def advantage(self) -> float:
+        """Share of the single set's fitness that the table saves, over nodes and held-out speeds.
 
         Note:
-            The speeds between the nodes alone would leave out both ends of the range, where one
-            set for all speeds is worst.
+            The held-out speeds alone would omit both ends of the speed range, where a single set
+            is worst.
         """
         table, single = self.table.overall, self.single.overall
         if math.isinf(single):
@@ -87,133 +90,205 @@ class Report(NamedTuple):
 
     @property
     def is_table(self) -> bool:
-        """Whether the table is worth its nodes, also where no search has been.
+        """True if the table is written: better by MIN_ADVANTAGE, not worse at held-out speeds.
 
         Otherwise the single set is written.
         """
-        return self.gain >= WORTH and self.table.between <= self.single.between
+        return self.advantage >= MIN_ADVANTAGE and self.table.between <= self.single.between
 
     @property
     def verdict(self) -> str:
-        """In one sentence."""
+        """The decision and its reason in one sentence."""
         if math.isinf(self.single.overall):
             return "no single gain set brings every car through: table written"
         if self.is_table:
-            return f"the table beats the best single gain set by {self.gain:.0%}: table written"
-        if self.gain >= WORTH:
+            return (
+                f"the table beats the best single gain set by {self.advantage:.0%}: table written"
+            )
+        if self.advantage >= MIN_ADVANTAGE:
             return (
                 "between its nodes the table is worse than the best single set: single set written"
             )
         return (
-            f"the table does not beat the best single gain set by {WORTH:.0%} "
-            f"({self.gain:.0%}): single gain set written"
+            f"the table does not beat the best single gain set by {MIN_ADVANTAGE:.0%} "
+            f"({self.advantage:.0%}): single gain set written"
         )
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """All candidates, the table first."""
+        return (self.table, self.single, *self.others)
 
 
 def mean(values: Sequence[float]) -> float:
-    """Geometric mean."""
+    """Return the geometric mean."""
     return float(geometric_mean(np.array(values)))
 
 
-def content_of(task: Task, outcome: Outcome, purpose: str, seed: int) -> Content:
-    """Gains of the nodes where a car came through, by speed and lateral reference."""
-    return {
-        (job.nodes[0].speed, job.nodes[0].reference): outcome[job.name].gains
-        for job in jobs_of(task)
-        if (job.purpose, job.seed) == (purpose, seed) and math.isfinite(outcome[job.name].fitness)
-    }
-
-
-def prove(task: Task, outcome: Outcome, workers: Workers) -> Report:
-    """Judge what was found.
+def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) -> TuningReport:
+    """Compare the tables built from the search results, by name of the search.
 
     Raises:
-        ValueError: At no node any car came through.
+        ValueError: Every car left the road at every node.
     """
-    contents = {
-        (purpose, seed): content_of(task, outcome, purpose, seed)
-        for purpose in (TABLE, RANDOM, SINGLE)
-        for seed in task.seeds
+    # gains by speed and lateral reference, for each purpose and seed
+    gains: dict[tuple[str, int], dict[tuple[float, float], Gains]] = {
+        (purpose, seed): {} for purpose in (TABLE, RANDOM, SINGLE) for seed in task.seeds
     }
-    if not any(contents[TABLE, seed] for seed in task.seeds):
-        raise ValueError("search: every car was lost at every node: other bounds are needed")
+    for search in searches_of(task):
+        found, value = results[search.name]
+        if math.isfinite(value):
+            node = search.nodes[0]
+            gains[search.purpose, search.seed][node.speed, node.reference] = found
+    if not any(gains[TABLE, seed] for seed in task.seeds):
+        raise ValueError("search: every car was lost at every node: choose other bounds")
+    # all candidates, evaluated at the nodes and half-way between them
     candidates = [
-        Candidate(f"{purpose}, seed {seed}", lookup(content, task))
-        for (purpose, seed), content in contents.items()
+        Candidate(f"{purpose}, seed {seed}", build_table(content, task))
+        for (purpose, seed), content in gains.items()
         if content
-    ] + compared(task)
-    candidates = judge(task, candidates, workers)
-    best = {p: _best(candidates, p) for p in (TABLE, SINGLE)}
-    table, single = best[TABLE], best[SINGLE]
-    assert table is not None
-    if single is None:  # every one loses a car somewhere
-        single = Candidate(NO_SINGLE, table.table, (math.inf,), (math.inf,))
-    found = contents[TABLE, int(table.name.split()[-1])]
-    others = tuple(item for item in candidates if item not in (table, single))
-    places = [(node.speed, node.reference) for node in nodes_of(task)]
-    missing = tuple(place for place in places if place not in found)
-    return Report(table, single, others, found, missing)
-
-
-def _best(candidates: Sequence[Candidate], purpose: str) -> Candidate | None:
-    mine = [item for item in candidates if item.name.startswith(f"{purpose}, ")]
-    return min(mine, key=lambda item: item.overall) if mine else None
-
-
-def compared(task: Task) -> list[Candidate]:
-    """Give Table 3, and the table that comes with the formulation if that is another one."""
-    names = list(dict.fromkeys(("table3", DEFAULT_TABLES[task.formulation])))
-    return [Candidate(f"shipped {name}", load_gain_table(name)) for name in names]
-
-
-def judge(task: Task, candidates: Sequence[Candidate], workers: Workers) -> list[Candidate]:
-    """Fill in the fitness of all candidates."""
-    at_nodes = _fitness([node for node in nodes_of(task) if reached(node)], candidates, workers)
-    between = _fitness(held_out(task), candidates, workers)
-    return [
-        item._replace(
-            fitness=tuple(at_nodes[:, i].tolist()), held_out=tuple(between[:, i].tolist())
+    ]
+    for name in dict.fromkeys(("table3", DEFAULT_TABLES[task.formulation])):
+        candidates.append(Candidate(f"shipped {name}", load_gain_table(name)))
+    candidates = evaluate(task, candidates, workers)
+    # the best table and the best single set over all seeds
+    table, single = (
+        min(
+            (item for item in candidates if item.name.startswith(f"{purpose}, ")),
+            key=lambda item: item.overall,
+            default=None,
         )
-        for i, item in enumerate(candidates)
+        for purpose in (TABLE, SINGLE)
+    )
+    assert table is not None
+    if single is None:  # each single set loses a car at one node
+        single = Candidate(NO_SINGLE, table.table, (math.inf,), (math.inf,))
+    others = tuple(item for item in candidates if item not in (table, single))
+    own = gains[TABLE, int(table.name.split()[-1])]
+    nodes = [(node.speed, node.reference) for node in nodes_of(task)]
+    return TuningReport(table, single, others, tuple(node for node in nodes if node not in own))
+
+
+def evaluate(
+    task: TuningTask, candidates: Sequence[Candidate], workers: Workers
+) -> list[Candidate]:
+    """Return the candidates with their fitness at the nodes and at the held-out speeds."""
+
+    def at(nodes: Sequence[Node]) -> list[tuple[float, ...]]:
+        rows = [[c.table.lookup(n.speed, n.reference).gains for c in candidates] for n in nodes]
+        tasks = [
+            workers.executor.submit(fitness, node, np.array(row, dtype=float))
+            for node, row in zip(nodes, rows, strict=True)
+        ]
+        columns = zip(*(task.result().tolist() for task in tasks), strict=True)
+        return list(columns) or [()] * len(candidates)
+
+    at_nodes = at([node for node in nodes_of(task) if is_reachable(node)])
+    between = at(held_out_nodes(task))
+    return [
+        item._replace(fitness=at_nodes[i], held_out=between[i]) for i, item in enumerate(candidates)
     ]
 
 
-def _fitness(nodes: Sequence[Node], candidates: Sequence[Candidate], workers: Workers) -> Array:
-    """Fitness (nodes, candidates), with the gains that each table has there."""
-    rows = [[c.table.lookup(n.speed, n.reference).gains for c in candidates] for n in nodes]
-    tasks = [
-        workers.executor.submit(fitness, node, np.array(row, dtype=float))
-        for node, row in zip(nodes, rows, strict=True)
-    ]
-    values = [task.result() for task in tasks]
-    return np.array(values) if values else np.zeros((0, len(candidates)))
-
-
-def lines_of(report: Report) -> Lines:
-    """Give the report as a table for the screen."""
-    lines = Lines("gains", "at the nodes", "between the speeds", "lost", box=SIMPLE_HEAD)
-    for item in (report.table, report.single, *report.others):
+def screen_table(report: TuningReport) -> Table:
+    """Format the report for the screen."""
+    table = Table("gains", "at the nodes", "between the speeds", "lost", box=SIMPLE_HEAD)
+    for item in report.candidates:
         lost = sum(map(math.isinf, (*item.fitness, *item.held_out)))
-        lines.add_row(item.name, f"{item.at_nodes:.4g}", f"{item.between:.4g}", str(lost or ""))
-    return lines
+        table.add_row(item.name, f"{item.at_nodes:.4g}", f"{item.between:.4g}", str(lost or ""))
+    return table
 
 
-def as_json(report: Report) -> dict[str, Any]:
-    """Give the report as JSON holds it; an infinite fitness is null."""
+def report_to_json(report: TuningReport) -> dict[str, Any]:
+    """Return the report as JSON values; an infinite fitness is null."""
 
-    def plain(values: Sequence[float]) -> list[float | None]:
+    def finite(values: Sequence[float]) -> list[float | None]:
         return [value if math.isfinite(value) else None for value in values]
 
     return {
         "verdict": report.verdict,
-        "not_reached": [list(place) for place in report.not_reached],
+        "not_reached": [list(node) for node in report.not_reached],
         "candidates": {
             item.name: {
-                "geometric_mean": plain([item.at_nodes, item.between]),
-                "fitness": plain(item.fitness),
-                "held_out": plain(item.held_out),
+                "geometric_mean": finite([item.at_nodes, item.between]),
+                "fitness": finite(item.fitness),
+                "held_out": finite(item.held_out),
                 "gains": [list(gains) for gains in item.table.nodes],
             }
-            for item in (report.table, report.single, *report.others)
+            for item in report.candidates
         },
     }
+
+
+def provenance(task: TuningTask, report: TuningReport, command: str) -> dict[str, Any]:
+    """Return the origin of the gains as YAML values.
+
+    The fitness is in the order of the rows of the table, null where a node is not reachable.
+    """
+    best = report.table if report.is_table else report.single
+    fitness_at_nodes = iter(report.table.fitness)
+    return {
+        "command": command,
+        **describe_task(task),
+        "fitness_unit": FITNESS[task.kind],
+        "verdict": report.verdict,
+        "best_seed": int(best.name.split()[-1]),
+        "nodes_not_reached": [list(node) for node in report.not_reached],
+        "node_fitness": [
+            _four_digits(next(fitness_at_nodes)) if is_reachable(node) else None
+            for node in nodes_of(task)
+        ],
+        "geometric_mean": {
+            item.name: [_four_digits(item.at_nodes), _four_digits(item.between)]
+            for item in report.candidates
+        },
+    }
+
+
+def table_yaml(task: TuningTask, report: TuningReport, command: str) -> str:
+    """Return the YAML text of the table, or of the single gain set if that is the verdict.
+
+    Args:
+        task: The task.
+        report: Its result.
+        command: Command that reproduces this file.
+    """
+    lines = [
+        f"# Gains of the {task.formulation} formulation for vehicle "
+        f"{describe_task(task)['vehicle']}, found by particle swarm.",
+        f"# {report.verdict[0].upper()}{report.verdict[1:]}.",
+        f"# Again: {command}",
+    ]
+    if report.is_table:
+        with_references = len(task.references) > 1
+        lines.append(f"speed: {list(task.speeds)} # m/s")
+        if with_references:
+            lines.append(f"lateral_reference: {list(task.references)} # m")
+        lines.append("gains:")
+        nodes = [(v, y) for v in task.speeds for y in task.references]
+        for (v, y), gains in zip(nodes, report.table.table.nodes, strict=True):
+            note = f"{v:g} m/s" + (f", {y:g} m" if with_references else "")
+            missing = ": NOT REACHED, its neighbour's" if (v, y) in report.not_reached else ""
+            lines.append(f"  - {_gains_yaml(gains)} # {note}{missing}")
+    else:  # both ends of the grid, so that a speed outside them is reported
+        ends = sorted({task.speeds[0], task.speeds[-1]})
+        row = _gains_yaml(report.single.table.nodes[0])
+        lines += [f"speed: {ends} # m/s", "gains:", *(f"  - {row}" for _ in ends)]
+    origin = yaml.safe_dump({"provenance": provenance(task, report, command)}, width=100,
+                            sort_keys=False, default_flow_style=None)  # fmt: skip
+    return "\n".join([*lines, origin])
+
+
+def _gains_yaml(gains: Gains) -> str:
+    fields = ", ".join(f"{key}: {_number_yaml(value)}" for key, value in gains._asdict().items())
+    return f"{{{fields}}}"
+
+
+def _number_yaml(value: float) -> str:
+    """Return a number that YAML 1.1 reads as such: `1e-05` would be a string."""
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _four_digits(value: float) -> float | None:
+    return float(f"{value:.4g}") if math.isfinite(value) else None

@@ -1,92 +1,183 @@
-"""Carries searches out: they run here, in threads; only fitness is asked for elsewhere."""
+"""Execution of searches in threads, with checkpoints; workers evaluate the fitness."""
 
-from collections.abc import Callable, Iterable, Sequence
+import contextlib
+import json
+import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from ampc_msgs_config.config import read_text
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
-from ampc_ros.pso.minimize import search
-from ampc_ros.pso.swarm import Swarm
-from launch_scripts.tuning.files import Checkpoints
-from launch_scripts.tuning.space import dimensions
-from launch_scripts.tuning.task import Job
+from ampc_ros.pso.minimize import search as search_with_swarm
+from ampc_ros.pso.swarm import Swarm, from_json, to_json
+from launch_scripts.tuning.task import Search, dimensions
 from launch_scripts.tuning.workers import Workers
 
-Progress = Callable[[Job, Swarm], None]
+TASK = "task.json"
+MAX_BYTES = 1_000_000_000
+"""Largest size of a checkpoint."""
+SearchResult = tuple[Gains, float]
+"""Best gains and their fitness; infinite if every car left the road."""
 
 
-class Found(NamedTuple):
-    """What a search came to."""
-
-    gains: Gains
-    fitness: float
-    """Infinite: every car was lost."""
+class SearchStopped(Exception):
+    """Raised in a search after another search has failed."""
 
 
-class Stopped(Exception):
-    """Another search has failed."""
-
-
-def carry_out(
-    jobs: Sequence[Job], workers: Workers, checkpoints: Checkpoints, show: Progress
-) -> dict[str, Found]:
-    """Search, several at a time; gives what was found by the job's name.
-
-    Args:
-        jobs: The searches; each begins where its checkpoint is.
-        workers: Who evaluates.
-        checkpoints: Receive every generation before the next one begins.
-        show: Called after each generation, in whatever thread.
+def write_atomically(file: Path, text: str) -> None:
+    """Write a file so that it holds either its old or its new content after any failure.
 
     Raises:
-        ValueError: The workers are gone, or a checkpoint cannot be read or written.
+        ValueError: The file cannot be written; its previous content is unchanged.
+    """
+    part = file.with_name(f".{file.name}.half")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(part, file)
+        folder = os.open(file.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise ValueError(
+            f"{file}: cannot be written: {error.strerror}; all earlier checkpoints are intact, "
+            "continue with --resume"
+        ) from error
+
+
+class Checkpoints:
+    """Folder with the last generation of every search of one task."""
+
+    def __init__(self, folder: Path) -> None:
+        """Use a folder, which need not exist yet."""
+        self.folder = folder
+
+    def begin(self, task: dict[str, Any], resume: bool) -> None:
+        """Start a new task, or continue the task in the folder.
+
+        Raises:
+            ValueError: New: the folder already holds an interrupted task. Continued: the folder is
+                empty or holds another task; names the field that differs.
+        """
+        saved = self._read(TASK)
+        if not resume:
+            if saved is not None:
+                raise ValueError(
+                    f"{self.folder}: holds an interrupted search: continue it with --resume, or "
+                    "choose another --output"
+                )
+            write_atomically(self.folder / TASK, json.dumps(task, indent=1) + "\n")
+            return
+        if saved is None:
+            raise ValueError(f"{self.folder}: nothing to resume")
+        for key in {**saved, **task}:
+            old, new = saved.get(key), json.loads(json.dumps(task.get(key)))
+            if old != new:
+                raise ValueError(
+                    f"{self.folder / TASK}: checkpoint of another task: {key} = {old!r}, "
+                    f"now {new!r}"
+                )
+
+    def save(self, name: str, swarm: Swarm) -> None:
+        """Write the last generation of a search."""
+        write_atomically(self.folder / f"{name}.json", json.dumps(to_json(swarm)) + "\n")
+
+    def load(self, name: str) -> Swarm | None:
+        """Read the last generation of a search, None without a checkpoint.
+
+        Raises:
+            ValueError: The file is not a checkpoint; names the file.
+        """
+        saved = self._read(f"{name}.json")
+        if saved is None:
+            return None
+        try:
+            return from_json(saved)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{self.folder / name}.json: not a checkpoint: {error}") from error
+
+    def clear(self) -> None:
+        """Delete the checkpoints and their folder."""
+        for file in self.folder.glob("*.json"):
+            file.unlink()
+        self.folder.rmdir()
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        file = self.folder / name
+        if not file.exists():
+            return None
+        try:
+            content = json.loads(read_text(file, MAX_BYTES))
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"{file}: cannot be read: {error}") from error
+        if not isinstance(content, dict):
+            raise ValueError(f"{file}: must hold a mapping, not {type(content).__name__}")
+        return content
+
+
+def run_searches(
+    searches: Sequence[Search],
+    workers: Workers,
+    checkpoints: Checkpoints,
+    show: Callable[[Search, Swarm], None],
+) -> dict[str, SearchResult]:
+    """Run searches, several at a time, and return their results by name.
+
+    Args:
+        searches: Each one starts from its checkpoint if there is one.
+        workers: Evaluate the fitness.
+        checkpoints: Receive every generation before the next one starts.
+        show: Called after each generation, in any thread.
+
+    Raises:
+        ValueError: The workers are lost, or a checkpoint cannot be read or written.
     """
     stop = Event()
 
-    def one(job: Job) -> tuple[str, Found]:
-        return job.name, _search(job, workers, checkpoints, show, stop)
-
-    with ThreadPoolExecutor(min(len(jobs), workers.places + 1)) as drivers:
-        tasks = [drivers.submit(one, job) for job in jobs]
-        try:
-            done, _ = wait(tasks, return_when=FIRST_EXCEPTION)
-            failures = [e for task in done if (e := task.exception()) is not None]
-            for failure in sorted(failures, key=lambda e: isinstance(e, Stopped)):
-                raise failure
-        except workers.losses as error:
-            cause = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"workers: lost ({cause}); --resume goes on without them") from error
-        finally:
-            stop.set()
-    return dict(task.result() for task in tasks)
-
-
-def _search(
-    job: Job, workers: Workers, checkpoints: Checkpoints, show: Progress, stop: Event
-) -> Found:
-    before = checkpoints.load(job.name)
-    where, share = dimensions(job.space), _spread(workers)
-    for swarm in search(job.cost, where, job.settings, job.rng, share, before):
-        if swarm is not before:
-            checkpoints.save(job.name, swarm)
-        show(job, swarm)
-        if stop.is_set():
-            raise Stopped
-    best = swarm.best_position[swarm.leader]
-    rounded = np.where([item.integer for item in where], np.rint(best), best)
-    return Found(job.gains(rounded), float(swarm.best_fitness[swarm.leader]))
-
-
-def _spread(workers: Workers) -> Callable[[Callable[..., Any], Array], Iterable[Any]]:
-    """Give a `map` that hands a generation to the workers in as many parts as they are."""
-
-    def spread(cost: Callable[..., Any], positions: Array) -> Array:
-        parts = np.array_split(positions, min(workers.places, len(positions)))
+    def parallel_map(cost: Callable[..., Any], positions: Array) -> Array:
+        parts = np.array_split(positions, min(workers.capacity, len(positions)))
         tasks = [workers.executor.submit(cost, part) for part in parts]
         return np.concatenate([task.result() for task in tasks])
 
-    return spread
+    def run(item: Search) -> tuple[str, SearchResult]:
+        before, where = checkpoints.load(item.name), dimensions(item.space)
+        options = item.settings, item.rng, parallel_map, before
+        for swarm in search_with_swarm(item.cost, where, *options):
+            if swarm is not before:
+                checkpoints.save(item.name, swarm)
+            show(item, swarm)
+            if stop.is_set():
+                raise SearchStopped
+        best = swarm.best_position[swarm.leader]
+        rounded = np.where([each.integer for each in where], np.rint(best), best)
+        return item.name, (item.gains(rounded), float(swarm.best_fitness[swarm.leader]))
+
+    with ThreadPoolExecutor(min(len(searches), workers.capacity + 1)) as drivers:
+        tasks = [drivers.submit(run, item) for item in searches]
+        try:
+            done, _ = wait(tasks, return_when=FIRST_EXCEPTION)
+            failures = [e for task in done if (e := task.exception()) is not None]
+            # The cause comes first: SearchStopped only follows from it.
+            for failure in sorted(failures, key=lambda e: isinstance(e, SearchStopped)):
+                raise failure
+        except workers.losses as error:
+            cause = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(
+                f"workers: lost ({cause}); continue without them with --resume"
+            ) from error
+        finally:
+            stop.set()
+    return dict(task.result() for task in tasks)

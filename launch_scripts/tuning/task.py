@@ -1,7 +1,13 @@
-"""A tuning task: what decides about its outcome, and the searches that it is made of."""
+"""A tuning task: the gains to search, their bounds, the nodes of the table, and the searches.
 
+A task is read from the command line. It has one search for each node and seed, one for a single
+gain set that serves all nodes, and one random search for each node as a baseline.
+"""
+
+import argparse
 import hashlib
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,105 +18,279 @@ from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import check_range, number
-from ampc_ros.mpc.gain_table import Gains, GainTable
-from ampc_ros.pso.settings import PsoSettings
+from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
+from ampc_ros.pso.settings import Dimension, PsoSettings, space
 from launch_scripts.tuning.drives import DEFINITION
-from launch_scripts.tuning.fitness import FITNESS, Node, fitness, gains_of_row
-from launch_scripts.tuning.space import SYMBOLS, SearchSpace, gains_at
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from launch_scripts.tuning.fitness import Node, fitness, gains_of_row
+from sim_vehicle.parameters import load_vehicle
 
+SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
+"""Symbols of the paper, in the order of the fields of `Gains`."""
+FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
+LOGARITHMIC = ("Q", "R")
+"""Gains that are searched in the logarithm: they span decades, and only Q/R matters."""
+DIGITS = 6
+"""Significant digits of a gain."""
 REACH = 2.0
-"""Largest lateral reference that can be reached, per speed [s]."""
+"""Largest reachable lateral reference, divided by the speed [s]."""
 TABLE, SINGLE, RANDOM = "table", "single", "random"
-"""What a search is for: one node; one set for all nodes; one node, by chance alone."""
+"""Purposes of a search: swarm for one node, swarm for all nodes, random samples for one node."""
+Bounds = tuple[float, float]
 
 
-class Task(NamedTuple):
-    """All that decides about the outcome."""
+class SearchSpace(NamedTuple):
+    """Bounds of the gains that are searched, and the values of the others."""
+
+    bounds: tuple[tuple[str, float, float], ...]
+    """Symbol, lower and upper bound."""
+    fixed: Gains
+
+
+class TuningTask(NamedTuple):
+    """Everything that determines the result of a tuning."""
 
     vehicle: str
-    """Shipped name, or file."""
+    """Name of a shipped vehicle, or file."""
     formulation: str
+    """`preview` or `paper`."""
     kind: str
     """Key of FITNESS."""
     speeds: tuple[float, ...]
+    """Speeds of the table [m/s]."""
     references: tuple[float, ...]
+    """Lateral references of the table [m]."""
     space: SearchSpace
     settings: PsoSettings
     seeds: tuple[int, ...]
 
 
-class Job(NamedTuple):
-    """One search, and what it is known by."""
+DEFAULT_BOUNDS: dict[str, dict[str, Bounds]] = {
+    "paper": {  # of the authors' code; its bounds of Q and R allow R/Q from 1e-4 to 1
+        "N_p": (1, 55),
+        "N_c": (1, 18),
+        "N": (1, 9),
+        "alpha": (0.75, 0.99),
+        "Q": (0.1, 10.0),
+        "R": (0.001, 10.0),
+    },
+    "preview": {
+        "N_p": (10, 45),
+        "N_c": (4, 30),
+        "N": (2, 8),
+        "alpha": (0.0, 0.9),
+        "Q": (0.1, 1000.0),
+        "R": (1.0, 1.0e5),
+    },
+}
+"""Bounds by formulation and symbol."""
+DEFAULT_TUNED = {"paper": ("N_p", "N_c", "alpha", "R"), "preview": ("alpha", "R")}
+"""Gains tuned by default. An alpha interpolated between two nodes does not suit the N of either;
+with the preview formulation the optima of the other gains vary randomly from node to node."""
+PRESETS = {
+    "paper": TuningTask(
+        vehicle="paper",
+        formulation="paper",
+        kind="paper",
+        speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
+        references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
+        space=SearchSpace((), Gains(45, 15, 3, 0.75, 10.0, 0.01)),
+        settings=PsoSettings(particles=20, generations=15),
+        seeds=(1, 2),
+    ),
+    "preview": TuningTask(
+        vehicle="paper",
+        formulation="preview",
+        kind="robust",
+        speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
+        references=(0.0,),
+        space=SearchSpace((), Gains(25, 20, 4, 0.3, 10.0, 100.0)),
+        settings=PsoSettings(particles=10, generations=8),
+        seeds=(1, 2),
+    ),
+}
+"""Default task of each formulation; its space holds the fixed gains."""
+
+
+class Search(NamedTuple):
+    """One run of the particle swarm."""
 
     purpose: str
+    """TABLE, SINGLE or RANDOM."""
     seed: int
     number: int
-    """Of the node, or the number of nodes where it is for all of them."""
+    """Index of the node; for a single set the number of all nodes."""
     nodes: tuple[Node, ...]
     space: SearchSpace
     settings: PsoSettings
 
     @property
     def name(self) -> str:
-        """For files and people."""
+        """Name of the checkpoint file, also shown to the user."""
         return f"{self.purpose}_{self.seed}_{self.number:03d}"
 
     @property
     def rng(self) -> np.random.Generator:
-        """Random numbers of this search alone."""
+        """Random generator, independent of those of all other searches."""
         key = [self.seed, self.number] + [1] * (self.purpose == RANDOM)
         return np.random.default_rng(key)
 
     @property
     def cost(self) -> partial[Array]:
-        """Fitness (n,) of particles (n, d), fit to be pickled."""
-        return partial(cost, self.nodes, self.space)
+        """Fitness (n,) as a function of particles (n, d); can be pickled."""
+        return partial(mean_fitness, self.nodes, self.space)
 
     def gains(self, position: Array) -> Gains:
-        """Gains of one particle (d,)."""
+        """Return the gains of one particle (d,)."""
         return gains_of_row(gains_at(self.space, position[None])[0])
 
 
-def cost(nodes: tuple[Node, ...], where: SearchSpace, positions: Array) -> Array:
-    """Geometric mean over nodes of the fitness (n,) of particles (n, d)."""
+def mean_fitness(nodes: tuple[Node, ...], where: SearchSpace, positions: Array) -> Array:
+    """Return the geometric mean over nodes of the fitness (n,) of particles (n, d)."""
     gains = gains_at(where, positions)
     return geometric_mean(np.array([fitness(node, gains) for node in nodes]))
 
 
 def geometric_mean(values: Array) -> Array:
-    """Over the first axis; infinite where one of them is."""
+    """Return the geometric mean over the first axis; infinite where one value is infinite."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(np.log(values).mean(axis=0)))
 
 
-def check(task: Task) -> None:
-    """Refuse a task that makes no sense.
+def read_task(chosen: argparse.Namespace) -> TuningTask:
+    """Build the task from the options of `tune.py`.
+
+    Raises:
+        ValueError: Names option or key, value and bound.
+    """
+    preset = PRESETS[chosen.formulation]
+    kind = chosen.fitness or preset.kind
+    references = preset.references if kind == "paper" else (0.0,)
+    swarm = {key: getattr(chosen, key) for key in ("particles", "generations")}
+    for key, value in swarm.items():
+        swarm[key] = getattr(preset.settings, key) if value is None else value
+    task = TuningTask(
+        chosen.vehicle,
+        chosen.formulation,
+        kind,
+        preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
+        references if chosen.references is None else tuple(chosen.references),
+        search_space(
+            read_bounds(chosen.bounds, chosen.formulation, chosen.tune),
+            read_fixed(chosen.fix, preset.space.fixed),
+        ),
+        PsoSettings(**swarm),
+        tuple(chosen.seeds),
+    )
+    check_task(task)
+    return task
+
+
+def read_bounds(
+    texts: Sequence[str], formulation: str, tuned: Sequence[str] | None
+) -> dict[str, Bounds]:
+    """Return the bounds of the tuned gains; texts such as `R=1:1e4` replace the defaults.
+
+    Raises:
+        ValueError: Names the text that cannot be parsed, or the gain that is not tuned.
+    """
+    tuned = tuned or DEFAULT_TUNED[formulation]
+    bounds = {symbol: DEFAULT_BOUNDS[formulation][symbol] for symbol in tuned}
+    for text in texts:
+        symbol, _, ends = text.partition("=")
+        low, _, high = ends.partition(":")
+        if symbol in SYMBOLS and symbol not in tuned:
+            raise ValueError(f"--bounds {symbol}: is not among the tuned, {', '.join(tuned)}")
+        try:
+            bounds[symbol] = (float(low), float(high))
+        except ValueError as error:
+            raise ValueError(f"--bounds {text}: must look like R=1:1e4") from error
+    return bounds
+
+
+def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
+    """Return the default gains with replacements such as `N_p=25`.
+
+    Raises:
+        ValueError: Names the text that cannot be parsed.
+    """
+    fixed = default._asdict()
+    for text in texts:
+        symbol, _, value = text.partition("=")
+        if symbol not in SYMBOLS:
+            raise ValueError(f"--fix {text}: unknown gain; known are {', '.join(SYMBOLS)}")
+        field = FIELDS[symbol]
+        try:
+            fixed[field] = int(value) if field in INTEGERS else float(value)
+        except ValueError as error:
+            raise ValueError(f"--fix {text}: must look like {symbol}=25") from error
+    return Gains(**fixed)
+
+
+def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
+    """Check the bounds, by symbol, and the fixed gains.
+
+    Raises:
+        ValueError: Names symbol, value and bound.
+    """
+    for symbol in bounds:
+        if symbol not in SYMBOLS:
+            raise ValueError(f"unknown gain {symbol!r}; known are {', '.join(SYMBOLS)}")
+    for symbol, field in FIELDS.items():
+        for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
+            check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
+        check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
+    ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
+    space([Dimension(*bound) for bound in ends])
+    space(dimensions(SearchSpace(ends, fixed)))
+    return SearchSpace(ends, fixed)
+
+
+def dimensions(where: SearchSpace) -> list[Dimension]:
+    """Return the dimensions of the swarm, in the logarithm of LOGARITHMIC gains."""
+    return [
+        Dimension(symbol, math.log10(low), math.log10(high))
+        if symbol in LOGARITHMIC
+        else Dimension(symbol, low, high, FIELDS[symbol] in INTEGERS)
+        for symbol, low, high in where.bounds
+    ]
+
+
+def gains_at(where: SearchSpace, positions: Array) -> Array:
+    """Return the gains (n, 6) of particles (n, d), with N_c and N limited to N_p."""
+    rows = np.tile(np.array(where.fixed, dtype=float), (len(positions), 1))
+    for column, (symbol, _, _) in enumerate(where.bounds):
+        values = positions[:, column]
+        values = 10.0**values if symbol in LOGARITHMIC else values
+        rows[:, SYMBOLS.index(symbol)] = [float(f"{value:.{DIGITS}g}") for value in values]
+    rows[:, 1:3] = np.minimum(rows[:, 1:3], rows[:, :1])
+    return rows
+
+
+def check_task(task: TuningTask) -> None:
+    """Check the axes of the table, the seeds, and that a node is reachable.
 
     Raises:
         ValueError: Names key, value and bound.
     """
-    if task.kind not in FITNESS:
-        raise ValueError(f"fitness = {task.kind!r} must be one of {', '.join(FITNESS)}")
     for key, axis in (("speeds", task.speeds), ("references", task.references)):
         low = 0.5 if key == "speeds" else -100.0
         if not axis:
-            raise ValueError(f"{key} = [] must have at least one place")
-        for i, place in enumerate(axis):
-            check_range(f"{key}[{i}]", place, number(low, 100.0))
-            if i and place <= axis[i - 1]:
-                raise ValueError(f"{key}[{i}] = {place:g} must be greater than {axis[i - 1]:g}")
+            raise ValueError(f"{key} = [] must have at least one value")
+        for i, value in enumerate(axis):
+            check_range(f"{key}[{i}]", value, number(low, 100.0))
+            if i and value <= axis[i - 1]:
+                raise ValueError(f"{key}[{i}] = {value:g} must be greater than {axis[i - 1]:g}")
     if task.kind != "paper" and task.references != (0.0,):
         raise ValueError(f"references = {list(task.references)} must be [0] for fitness robust")
     if not task.seeds or min(task.seeds) < 0 or len(set(task.seeds)) < len(task.seeds):
-        raise ValueError(f"seeds = {list(task.seeds)} must be different, and not negative")
-    if not any(map(reached, nodes_of(task))):
-        raise ValueError(f"references: none is reached, |y| <= {REACH:g} s v, at any speed")
+        raise ValueError(f"seeds = {list(task.seeds)} must be different and not negative")
+    if not any(map(is_reachable, nodes_of(task))):
+        raise ValueError(f"references: none is reachable, |y| <= {REACH:g} s v, at any speed")
 
 
-def nodes_of(task: Task, speeds: tuple[float, ...] = ()) -> list[Node]:
-    """Give the nodes in the order of a gain table, of the task's speeds or of others."""
-    vehicle: Vehicle = load_vehicle(find("vehicles", task.vehicle))
+def nodes_of(task: TuningTask, speeds: tuple[float, ...] = ()) -> list[Node]:
+    """Return the nodes in the order of a gain table, at the task's speeds or at others [m/s]."""
+    vehicle = load_vehicle(find("vehicles", task.vehicle))
     return [
         Node(vehicle, task.formulation, task.kind, speed, reference)
         for speed in speeds or task.speeds
@@ -118,51 +298,46 @@ def nodes_of(task: Task, speeds: tuple[float, ...] = ()) -> list[Node]:
     ]
 
 
-def reached(node: Node) -> bool:
-    """Whether a car can be expected at the node's lateral reference at all."""
+def is_reachable(node: Node) -> bool:
+    """Check whether a car can reach the lateral reference of a node at its speed."""
     return abs(node.reference) <= REACH * node.speed
 
 
-def held_out(task: Task) -> list[Node]:
-    """Give the nodes half-way between the speeds of the grid, which no search has seen."""
+def held_out_nodes(task: TuningTask) -> list[Node]:
+    """Return the nodes half-way between the speeds of the table, which no search evaluates."""
     between = tuple((a + b) / 2 for a, b in zip(task.speeds, task.speeds[1:], strict=False))
-    return [node for node in nodes_of(task, between) if reached(node)] if between else []
+    return [node for node in nodes_of(task, between) if is_reachable(node)] if between else []
 
 
-def jobs_of(task: Task) -> list[Job]:
-    """Give all searches, those with most work first; table, single set and chance cost the same."""
-    nodes = nodes_of(task)
-    places = [(i, node) for i, node in enumerate(nodes) if reached(node)]
-    everywhere = tuple(node for _, node in places)
-    swarm = task.settings
-    particles = swarm.particles * (swarm.generations + 1)
-    scattered = PsoSettings(particles=particles, generations=0)
-    singles, tables, chances = [], [], []
+def searches_of(task: TuningTask) -> list[Search]:
+    """Return all searches, the largest first; each purpose drives the same number of cars."""
+    nodes, swarm = nodes_of(task), task.settings
+    reachable = [(i, node) for i, node in enumerate(nodes) if is_reachable(node)]
+    everywhere = tuple(node for _, node in reachable)
+    samples = PsoSettings(particles=swarm.particles * (swarm.generations + 1), generations=0)
+    singles, tables, randoms = [], [], []
     for seed in task.seeds:
-        singles.append(Job(SINGLE, seed, len(nodes), everywhere, task.space, swarm))
-        tables += [Job(TABLE, seed, i, (node,), task.space, swarm) for i, node in places]
-        chances += [Job(RANDOM, seed, i, (node,), task.space, scattered) for i, node in places]
-    return singles + tables + chances
+        singles.append(Search(SINGLE, seed, len(nodes), everywhere, task.space, swarm))
+        tables += [Search(TABLE, seed, i, (node,), task.space, swarm) for i, node in reachable]
+        randoms += [Search(RANDOM, seed, i, (node,), task.space, samples) for i, node in reachable]
+    return singles + tables + randoms
 
 
-def describe(task: Task) -> dict[str, Any]:
-    """Give the task as JSON and YAML hold it: for checkpoints, and for the table's provenance."""
-    searched = {symbol for symbol, _, _ in task.space.bounds}
+def describe_task(task: TuningTask) -> dict[str, Any]:
+    """Return the task as JSON and YAML values, for checkpoints and the provenance of a table."""
+    tuned = {symbol for symbol, _, _ in task.space.bounds}
+    fixed = zip(SYMBOLS, task.space.fixed, strict=True)
     return {
         "version": __version__,
         "vehicle": task.vehicle if not Path(task.vehicle).is_file() else Path(task.vehicle).name,
-        "vehicle_sha256": digest(find("vehicles", task.vehicle).read_bytes()),
-        "drives_sha256": digest(DEFINITION.encode()),
+        "vehicle_sha256": sha256(find("vehicles", task.vehicle).read_bytes()),
+        "drives_sha256": sha256(DEFINITION.encode()),
         "formulation": task.formulation,
         "fitness": task.kind,
         "speed": list(task.speeds),
         "lateral_reference": list(task.references),
         "bounds": {symbol: [low, high] for symbol, low, high in task.space.bounds},
-        "fixed": {
-            symbol: value
-            for symbol, value in zip(SYMBOLS, task.space.fixed, strict=True)
-            if symbol not in searched
-        },
+        "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
         "swarm": task.settings.variant,
         "particles": task.settings.particles,
         "generations": task.settings.generations,
@@ -170,19 +345,19 @@ def describe(task: Task) -> dict[str, Any]:
     }
 
 
-def digest(content: bytes) -> str:
-    """SHA-256 in hexadecimal digits."""
+def sha256(content: bytes) -> str:
+    """Return the SHA-256 of some bytes in hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
 
 
-def lookup(content: Mapping[tuple[float, float], Gains], task: Task) -> GainTable:
-    """Lay gains by speed and lateral reference out as a table; gaps take their neighbour's."""
-    nodes = [content[nearest(content, s, y)] for s in task.speeds for y in task.references]
+def build_table(gains: Mapping[tuple[float, float], Gains], task: TuningTask) -> GainTable:
+    """Build a gain table from gains by speed and lateral reference.
+
+    A node without gains takes those of the nearest node, at the same speed where one exists.
+    """
+
+    def nearest(speed: float, reference: float) -> Gains:
+        return gains[min(gains, key=lambda at: (abs(at[0] - speed), abs(at[1] - reference)))]
+
+    nodes = [nearest(speed, y) for speed in task.speeds for y in task.references]
     return GainTable(list(task.speeds), list(task.references), nodes)
-
-
-def nearest(
-    content: Mapping[tuple[float, float], Gains], speed: float, reference: float
-) -> tuple[float, float]:
-    """Place of the nearest node that has gains: at the same speed if there is one."""
-    return min(content, key=lambda at: (abs(at[0] - speed), abs(at[1] - reference)))

@@ -1,4 +1,4 @@
-"""Who evaluates: threads, processes, or the workers of a Dask cluster, behind one `Executor`."""
+"""Workers that evaluate the fitness: threads, processes or a Dask cluster behind one Executor."""
 
 import logging
 import multiprocessing
@@ -15,40 +15,41 @@ from typing import Any, NamedTuple
 
 from ampc_msgs_config.compiled import source_hash
 
-PATIENCE = 10
-"""How long a scheduler may take to answer [s]."""
+CONNECTION_TIMEOUT = 10
+"""Longest time until a scheduler answers [s]."""
 NO_TRUST = (
-    "Dask sends pickles, which run whatever code they hold: only with --trust-scheduler, and best "
-    "with a tls:// address"
+    "Dask sends pickles, which can run any code: use it only with --trust-scheduler, and "
+    "preferably with a tls:// address"
 )
 RETRIES = 3
-"""Of a task whose worker died."""
+"""Number of attempts to repeat a task whose worker died."""
 
 
 class Workers(NamedTuple):
-    """Where functions run."""
+    """An executor and its properties."""
 
     executor: Executor
-    places: int
-    """How many functions can run at once."""
+    capacity: int
+    """Number of functions that run at the same time."""
     losses: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    """What a result raises where the workers are gone."""
+    """Exceptions of a result if the workers are lost."""
 
 
 @contextmanager
 def open_workers(
     count: int, processes: bool = False, scheduler: str = "", trusted: bool = False
 ) -> Iterator[Workers]:
-    """Give workers, and let them go in the end.
+    """Start workers, and release them at the end.
 
     Args:
-        count: Threads or processes.
-        processes: Whether they are processes; the compiled call does not need them.
-        scheduler: Address of a Dask scheduler, to use its workers instead.
-        trusted: Whether to take pickles from it, which may hold any code.
+        count: Number of threads or processes.
+        processes: Use processes; threads are as fast because compiled code releases the GIL.
+        scheduler: Address of a Dask scheduler whose workers are used instead.
+        trusted: Accept pickles from the scheduler, which can hold any code.
 
     Raises:
-        ValueError: No trust, or no scheduler there, or it has no workers, or they run other code.
+        ValueError: The scheduler is not trusted, does not answer, has no workers, or its workers
+            run other source code.
     """
     if scheduler:
         if not trusted:
@@ -71,31 +72,31 @@ def _cluster(address: str) -> Iterator[Workers]:
         raise ValueError(
             "--scheduler needs Dask: pip install -r lock/requirements-dask.txt"
         ) from error
-    connect: Any = Client  # it has no types
+    connect: Any = Client  # has no type annotations
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        client = connect(address, timeout=PATIENCE, set_as_default=False)
+        client = connect(address, timeout=CONNECTION_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         cause = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"--scheduler {address}: no scheduler answers there: {cause}") from error
+        raise ValueError(f"--scheduler {address}: no scheduler answers: {cause}") from error
     try:
-        count = _hired(client, address)
+        count = _count_threads(client, address)
         losses = (BrokenExecutor, CancelledError, KilledWorker)
         yield Workers(client.get_executor(retries=RETRIES), count, losses)
     finally:
-        client.close(timeout=PATIENCE)
+        client.close(timeout=CONNECTION_TIMEOUT)
 
 
-def _hired(client: Any, address: str) -> int:
-    """Number of threads of all workers, after a look at what they run."""
+def _count_threads(client: Any, address: str) -> int:
+    """Return the number of threads of all workers, after a check of their source code."""
     try:
-        codes = client.run(source_hash)
-    except Exception as error:  # whatever their machine lacks
+        hashes = client.run(source_hash)
+    except Exception as error:  # any exception that the remote machine raises
         cause = " ".join(str(error).split())
-        raise ValueError(f"--scheduler {address}: its workers cannot run this: {cause}") from error
-    if not codes:
+        raise ValueError(f"--scheduler {address}: its workers cannot run AMPC: {cause}") from error
+    if not hashes:
         raise ValueError(f"--scheduler {address}: has no workers")
-    for worker, code in codes.items():
+    for worker, code in hashes.items():
         if code != source_hash():
-            raise ValueError(f"--scheduler {address}: worker {worker} has another version of this")
+            raise ValueError(f"--scheduler {address}: worker {worker} runs other source code")
     return sum(client.nthreads().values())

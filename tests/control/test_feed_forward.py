@@ -24,10 +24,10 @@ from sim_vehicle.closed_loop import drive
 from tests.workshop.acceptance.trials import (
     DATA,
     Trial,
-    believed_vehicle,
-    judged,
+    assumed_vehicle,
     plant,
     scenario_of,
+    with_errors,
 )
 
 PATH = make_path([(0.0, 0.0), (1000.0, 0.0)])
@@ -79,7 +79,7 @@ class Lonely:
 
     def __init__(self, car: str) -> None:
         """Begin at rest."""
-        vehicle = believed_vehicle(Trial(car=car))
+        vehicle = assumed_vehicle(Trial(car=car))
         self.most = vehicle.steering.max_angle
         self.steers = FeedForward(vehicle.chassis, vehicle.chassis.cg_to_rear_axle)
 
@@ -92,10 +92,10 @@ class Lonely:
 @cache
 def error(trial: Trial) -> Array:
     """Drive a trial by feed-forward alone; gives the cross-track error at each tick [m]."""
-    vehicle = believed_vehicle(trial)
+    vehicle = assumed_vehicle(trial)
     scenario = scenario_of(trial, vehicle)
     done = drive(plant(trial, vehicle, scenario), Lonely(trial.car))
-    return judged(done, scenario, vehicle).error
+    return with_errors(done, scenario, vehicle).error
 
 
 def circling(radius: float, v_x: float, car: str) -> VehicleState:

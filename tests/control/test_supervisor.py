@@ -31,7 +31,7 @@ from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
 from sim_vehicle.closed_loop import drive
 from tests.supervised import between, made_for, supervised
-from tests.workshop.acceptance.trials import Trial, believed_vehicle, plant, scenario_of
+from tests.workshop.acceptance.trials import Trial, assumed_vehicle, plant, scenario_of
 
 ROAD = np.array([(x, 0.0) for x in np.arange(0.0, 600.0, 5.0)])
 BEND = np.array([(x, 1.5 * math.sin(x / 30.0)) for x in np.arange(0.0, 600.0, 3.0)])
@@ -360,7 +360,7 @@ def test_undisturbed_drive_is_that_of_the_bare_controller_bit_for_bit(
     name: str, scenario: str
 ) -> None:
     trial, config = Trial(scenario), made_for("paper", name)
-    vehicle = believed_vehicle(trial)
+    vehicle = assumed_vehicle(trial)
     road = scenario_of(trial, vehicle)
     bare = drive(plant(trial, vehicle, road), build_controller(config))
     supervisor = Supervisor(config)

@@ -1,4 +1,4 @@
-"""Topics stay on this machine unless the user says otherwise, whichever way a node is started."""
+"""Topics stay on this machine by default, for scripts and for sourced shells."""
 
 import os
 import subprocess
@@ -32,11 +32,11 @@ def test_nodes_of_a_script_keep_to_this_machine_unless_the_user_chose_a_range(
 def test_a_sourced_shell_keeps_to_this_machine_unless_the_user_chose_a_range(chosen: str) -> None:
     environment = {name: value for name, value in os.environ.items() if name != RANGE}
     words = f"source '{ROOT}/setup.bash' && echo ${RANGE}"
-    said = subprocess.run(
+    output = subprocess.run(
         ["/bin/bash", "-c", words],
         env=environment | ({RANGE: chosen} if chosen else {}),
         capture_output=True,
         text=True,
         check=True,
     ).stdout
-    assert said.strip() == (chosen or "LOCALHOST")
+    assert output.strip() == (chosen or "LOCALHOST")

@@ -1,4 +1,4 @@
-"""What comes out of the line under each kind of fault."""
+"""Messages that arrive under each kind of fault."""
 
 import math
 from typing import Any
@@ -17,24 +17,24 @@ PERIOD_NS = 20 * MS
 CLOCK_NS = 1000 * NANOSECONDS
 START, DURATION = 1.0, 0.5
 WINDOW = range(50, 75)
-"""Messages that the fault befalls."""
+"""Indices of the messages sent during the fault."""
 POINTS = np.column_stack((np.arange(0.0, 20.0), np.zeros(20)))
 
 
 def state(i: int) -> VehicleState:
-    """Give the i-th state, on the way to the upper right."""
+    """Return the i-th state of a car with heading 0.5 rad."""
     return VehicleState(0, 9.0 * 0.02 * i, 0.1 * i, 0.5, 9.0, 0.1, 0.02)
 
 
 def sent(topic: str, i: int) -> Message:
-    """Give the i-th message of a topic."""
+    """Return the i-th message of a topic."""
     value: Any = {ODOM: state(i), STEERING: 0.001 * i, PATH: POINTS}[topic]
     return Message(topic, i * PERIOD_NS, CLOCK_NS + i * PERIOD_NS, value)
 
 
-def arrived(kind: str, topic: str = ODOM, seed: int = 3, **given: Any) -> list[Message]:
-    """Send 100 messages, 2 s, through a fault from 1 s to 1.5 s; give what has come by 10 s."""
-    fault = Fault(kind=kind, start=START, **({"duration": DURATION} | given))
+def arrived(kind: str, topic: str = ODOM, seed: int = 3, **options: Any) -> list[Message]:
+    """Send 100 messages in 2 s, with a fault from 1 s to 1.5 s; return the arrivals until 10 s."""
+    fault = Fault(kind=kind, start=START, **({"duration": DURATION} | options))
     line = Injector(Plan((fault,), seed))
     for i in range(100):
         line.put(sent(topic, i))
@@ -42,12 +42,12 @@ def arrived(kind: str, topic: str = ODOM, seed: int = 3, **given: Any) -> list[M
 
 
 def of_window(messages: list[Message]) -> list[Message]:
-    """Give those that came in during the fault."""
+    """Return the messages that arrived during the fault."""
     return [each for each in messages if each.arrival_ns // PERIOD_NS in WINDOW]
 
 
 def others(messages: list[Message]) -> list[Message]:
-    """Give those that came in before or after it."""
+    """Return the messages that arrived before or after the fault."""
     return [each for each in messages if each.arrival_ns // PERIOD_NS not in WINDOW]
 
 
@@ -57,47 +57,47 @@ CHANGING = ("nan", "noise", "bias_position", "bias_heading", "bias_speed", "drif
 
 
 @pytest.mark.parametrize("kind", CHANGING)
-def test_what_changes_numbers_changes_them_only_while_it_lasts(kind: str) -> None:
+def test_a_fault_changes_numbers_only_during_its_interval(kind: str) -> None:
     messages = arrived(kind)
     assert others(messages) == UNTOUCHED
     assert [each.arrival_ns for each in messages] == [i * PERIOD_NS for i in range(100)]
     for i, message in zip(WINDOW, of_window(messages), strict=True):
         same = message == sent(ODOM, i)
-        assert not same or (kind == "drift" and i == WINDOW[0])  # which begins at nothing
+        assert not same or (kind == "drift" and i == WINDOW[0])  # a drift starts at zero
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_names_what_it_befalls_and_has_its_amount_within_bounds(kind: str) -> None:
-    declared = KINDS[kind]
-    assert set(declared.topics) <= {ODOM, STEERING, PATH, NODE}
-    assert (declared.change is None) == (declared.topics == (NODE,))
-    if declared.amount:
-        assert declared.amount.low <= declared.amount.default <= declared.amount.high
-    assert not declared.sided or declared.amount
+def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
+    for name, kind in KINDS.items():
+        assert set(kind.topics) <= {ODOM, STEERING, PATH, NODE}, name
+        assert (kind.change is None) == (kind.topics == (NODE,)), name
+        if kind.amount:
+            assert kind.amount.low <= kind.amount.default <= kind.amount.high, name
+        assert not kind.sided or kind.amount, name
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_same_seed_gives_the_same_line_and_other_topics_pass(kind: str) -> None:
-    for topic in (ODOM, STEERING, PATH):
-        once, again = arrived(kind, topic), arrived(kind, topic)
-        assert repr(once) == repr(again)
-        if topic not in KINDS[kind].topics:
-            assert [each.arrival_ns for each in once] == [i * PERIOD_NS for i in range(100)]
-            assert all(each.stamp_ns - each.arrival_ns == CLOCK_NS for each in once)
+@pytest.mark.parametrize("topic", [ODOM, STEERING, PATH])
+def test_a_seed_reproduces_the_messages_and_other_topics_are_unchanged(topic: str) -> None:
+    for name, kind in KINDS.items():
+        once, again = arrived(name, topic), arrived(name, topic)
+        assert repr(once) == repr(again), name
+        if topic not in kind.topics:
+            arrivals = [each.arrival_ns for each in once]
+            assert arrivals == [i * PERIOD_NS for i in range(100)], name
+            assert all(each.stamp_ns - each.arrival_ns == CLOCK_NS for each in once), name
 
 
 @pytest.mark.parametrize("kind", ["drop", "silence"])
-def test_lost_messages_do_not_come(kind: str) -> None:
+def test_dropped_messages_do_not_arrive(kind: str) -> None:
     assert arrived(kind) == UNTOUCHED
 
 
-def test_half_of_the_messages_are_lost_by_chance() -> None:
+def test_half_of_the_messages_are_dropped_at_random() -> None:
     kept = {len(of_window(arrived("drop", seed=seed, amount=0.5))) for seed in range(20)}
     assert len(kept) > 3
     assert all(3 < n < 22 for n in kept)
 
 
-def test_a_restarted_peer_is_silent_then_counts_its_stamps_from_zero_then_is_back() -> None:
+def test_a_restarted_sender_is_silent_then_counts_stamps_from_zero_then_recovers() -> None:
     messages = arrived("restart", amount=0.1)
     assert others(messages) == UNTOUCHED
     assert [each.stamp_ns // MS for each in of_window(messages)] == [0, 20, 40, 60, 80]
@@ -129,14 +129,14 @@ def test_a_duplicate_follows_its_original() -> None:
     assert twice == [CLOCK_NS + 60 * PERIOD_NS] * 2
 
 
-def test_a_held_queue_empties_itself_at_once_and_in_order() -> None:
+def test_held_messages_are_delivered_at_once_and_in_order() -> None:
     messages = arrived("hold")
     queue = [each for each in messages if each.value in [state(i) for i in WINDOW]]
     assert {each.arrival_ns for each in queue} == {1500 * MS}
     assert [each.value for each in queue] == [state(i) for i in WINDOW]
 
 
-def test_a_burst_is_old_messages_all_at_once_before_a_new_one() -> None:
+def test_a_burst_delivers_old_messages_at_once_before_a_new_one() -> None:
     messages = arrived("burst", amount=1000)
     assert len(messages) == 1100
     at_once = [each for each in messages if each.arrival_ns == 1000 * MS]
@@ -154,7 +154,7 @@ def test_a_repeated_message_keeps_its_stamp_and_a_frozen_pose_does_not() -> None
 
 
 @pytest.mark.parametrize("field", VehicleState._fields[1:])
-def test_any_number_can_be_broken(field: str) -> None:
+def test_every_field_can_become_nan(field: str) -> None:
     for message in of_window(arrived("nan", field=field)):
         broken = [name for name, value in message.value._asdict().items() if math.isnan(value)]
         assert broken == [field]
@@ -180,7 +180,7 @@ def test_a_drift_grows_steadily_and_jumps_back() -> None:
     assert messages[75] == sent(ODOM, 75)
 
 
-def test_noise_has_the_size_asked_for_and_a_mirror_image() -> None:
+def test_noise_has_the_requested_size_and_a_mirror_image() -> None:
     left = of_window(arrived("noise", amount=0.1, duration=0.5))
     right = of_window(arrived("noise", amount=-0.1, duration=0.5))
     for i, a, b in zip(WINDOW, left, right, strict=True):
@@ -190,7 +190,7 @@ def test_noise_has_the_size_asked_for_and_a_mirror_image() -> None:
     assert np.std([m.value.x - state(i).x for i, m in zip(WINDOW, left, strict=True)]) < 0.2
 
 
-def test_frames_and_quaternions_can_be_wrong() -> None:
+def test_frames_and_quaternions_can_be_invalid() -> None:
     assert {each.frame_id for each in of_window(arrived("wrong_frame"))} == {"odom"}
     assert {each.length for each in of_window(arrived("zero_quaternion"))} == {0.0}
 
@@ -206,24 +206,24 @@ def test_stamps_jump_and_the_controllers_clock_only_where_all_clocks_do(amount: 
         assert shown == [0, *([round(amount * NANOSECONDS) if moves else 0] * 2), 0]
 
 
-def test_the_steering_sensor_can_be_off_or_stand() -> None:
+def test_the_steering_sensor_can_have_a_bias_or_freeze() -> None:
     off = of_window(arrived("bias_steering", STEERING, amount=0.05))
     assert [m.value for m in off] == pytest.approx([0.001 * i + 0.05 for i in WINDOW])
     assert {m.value for m in of_window(arrived("freeze_steering", STEERING))} == {0.049}
 
 
-def test_solutions_fail_from_start_to_end_without_any_message() -> None:
+def test_a_qp_fault_is_active_in_its_interval_without_any_message() -> None:
     line = Injector(Plan((Fault(kind="qp_fault", start=1.0, duration=0.5),)))
     there = [line.is_on("qp_fault", ms * MS) for ms in (999, 1000, 1499, 1500)]
     assert there == [False, True, True, False]
 
 
-def path_under(kind: str, **given: Any) -> Any:
-    """Give the first path that arrives under a fault."""
-    return of_window(arrived(kind, PATH, **given))[0].value
+def path_under(kind: str, **options: Any) -> Any:
+    """Return the first path that arrives during a fault."""
+    return of_window(arrived(kind, PATH, **options))[0].value
 
 
-def test_paths_can_be_aside_or_broken() -> None:
+def test_paths_can_be_moved_or_invalid() -> None:
     assert path_under("path_shift", amount=2.0) == pytest.approx(POINTS + np.array([0.0, 2.0]))
     assert np.ptp(path_under("path_step", amount=2.0)[:, 1]) == pytest.approx(2.0)
     zigzag = path_under("path_zigzag", amount=-1.0)
@@ -235,7 +235,7 @@ def test_paths_can_be_aside_or_broken() -> None:
     assert not np.isnan(POINTS).any()
 
 
-def test_a_fault_more_leaves_the_chance_of_the_others_as_it_is() -> None:
+def test_another_fault_does_not_change_the_random_numbers_of_the_first() -> None:
     one = Fault(kind="noise", start=1.0, duration=0.5)
     other = Fault(kind="noise", start=1.6, duration=0.2)
     alone, both = Injector(Plan((one,), 3)), Injector(Plan((one, other), 3))
@@ -256,7 +256,7 @@ def test_faults_at_the_same_time_act_one_after_the_other() -> None:
     assert len(messages) == 2 * len(WINDOW)
 
 
-def test_nothing_comes_before_its_time() -> None:
+def test_no_message_arrives_before_its_time() -> None:
     line = Injector(Plan((Fault(kind="delay", start=0.0, duration=5.0, amount=0.1),)))
     line.put(sent(ODOM, 1))
     assert line.due(120 * MS - 1) == []

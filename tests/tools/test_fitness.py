@@ -11,7 +11,7 @@ from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
-from launch_scripts.tuning.drives import PLANTS, Plant, lane_change, real, step_to
+from launch_scripts.tuning.drives import PLANTS, Plant, lane_change, simulated_car, step_to
 from launch_scripts.tuning.fitness import (
     INCREMENT_WEIGHT,
     NEGLIGIBLE,
@@ -35,7 +35,7 @@ def test_fitness_of_the_paper_is_the_mean_squared_error_of_the_step() -> None:
     scenario = step_to(STEP.speed, STEP.reference)
     settings = load(ControllerSettings, find("controllers", "table3"))
     controller = LateralMpc(PAPER.chassis, settings, GainTable([9.0], [0.0], [TABLE_3]))
-    driven = drive(real(Plant("step"), PAPER, scenario), controller)
+    driven = drive(simulated_car(Plant("step"), PAPER, scenario), controller)
     path = make_path(scenario.points)
     error = errors(driven, path, PAPER.chassis.cg_to_rear_axle)[:, 0]
     assert abs(error[0]) == pytest.approx(5.0)

@@ -1,4 +1,4 @@
-"""The tuned tables that come with the packages: whose they are, and where they come from."""
+"""The shipped tuned tables: their vehicle, their provenance, and their advantage."""
 
 import json
 
@@ -10,9 +10,9 @@ from ampc_ros.configuration import Choices, default_table
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.gain_table import gain_table, load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
-from launch_scripts.tune import parser, task_of
+from launch_scripts.tune import build_parser
 from launch_scripts.tuning.fitness import Node, fitness
-from launch_scripts.tuning.task import describe, held_out, reached
+from launch_scripts.tuning.task import describe_task, held_out_nodes, is_reachable, read_task
 from sim_vehicle.parameters import load_vehicle
 
 TUNED = {"paper_pso": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
@@ -24,20 +24,20 @@ def content(name: str) -> dict[str, object]:
 
 @pytest.mark.parametrize("name", TUNED)
 def test_the_command_in_a_table_describes_the_task_that_made_it(name: str) -> None:
-    found = content(name)["provenance"]
-    assert isinstance(found, dict)
-    words = found["command"].split()
+    origin = content(name)["provenance"]
+    assert isinstance(origin, dict)
+    words = origin["command"].split()
     assert words[:2] == ["python", "launch_scripts/tune.py"]
-    described = describe(task_of(parser().parse_args(words[2:])))
-    assert {key: found[key] for key in described} == json.loads(json.dumps(described))
-    assert found["vehicle"] == TUNED[name]
-    assert len(found["seeds"]) >= 2
+    described = describe_task(read_task(build_parser().parse_args(words[2:])))
+    assert {key: origin[key] for key in described} == json.loads(json.dumps(described))
+    assert origin["vehicle"] == TUNED[name]
+    assert len(origin["seeds"]) >= 2
 
 
 @pytest.mark.parametrize("name", TUNED)
 def test_a_shipped_table_is_what_its_verdict_says(name: str) -> None:
-    found = content(name)
-    provenance, table = found["provenance"], gain_table(found)
+    table_file = content(name)
+    provenance, table = table_file["provenance"], gain_table(table_file)
     assert isinstance(provenance, dict)
     assert provenance["verdict"].endswith("table written") == (len(set(table.nodes)) > 1)
 
@@ -70,9 +70,11 @@ def test_the_default_gains_are_better_than_hand_set_ones_at_speeds_that_no_searc
 
 
 def test_the_tuned_table_of_the_paper_steps_better_than_table_3() -> None:
-    task = task_of(parser().parse_args(["--formulation", "paper"]))
+    task = read_task(build_parser().parse_args(["--formulation", "paper"]))
     ratios = []
-    for node in [n for n in held_out(task) if reached(n) and n.reference in (5.0, -10.0)][::4]:
+    for node in [
+        n for n in held_out_nodes(task) if is_reachable(n) and n.reference in (5.0, -10.0)
+    ][::4]:
         tables = [load_gain_table(name) for name in ("paper_pso", "table3")]
         gains = [table.lookup(node.speed, node.reference).gains for table in tables]
         tuned, table_3 = fitness(node, gains)

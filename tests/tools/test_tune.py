@@ -1,4 +1,4 @@
-"""The tuner as users run it: killed, resumed, on a full disk, in parallel, on a cluster."""
+"""The tuner as a command: killed, resumed, on a full disk, in parallel, on a cluster."""
 
 import errno
 import json
@@ -17,12 +17,11 @@ import pytest
 from ampc_msgs_config import config
 from ampc_ros.mpc.gain_table import gain_table, load_gain_table
 from ampc_ros.pso.swarm import Swarm
-from launch_scripts.tune import main, parser, task_of
-from launch_scripts.tuning.files import Checkpoints
+from launch_scripts.tune import build_parser, main
 from launch_scripts.tuning.fitness import fitness
-from launch_scripts.tuning.report import NO_SINGLE, Candidate, Report
-from launch_scripts.tuning.search import Found, carry_out
-from launch_scripts.tuning.task import Job, jobs_of, nodes_of
+from launch_scripts.tuning.report import NO_SINGLE, Candidate, TuningReport
+from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
+from launch_scripts.tuning.task import Search, nodes_of, read_task, searches_of
 from launch_scripts.tuning.workers import Workers, open_workers
 
 SMALL = ["--formulation", "paper", "--speeds", "3", "9", "--references", "5", "10"]
@@ -30,12 +29,12 @@ SMALL += ["--particles", "4", "--seeds", "1"]
 
 
 def tuned(output: Path, *words: str) -> tuple[str, Any]:
-    """Tune in this process; gives table and proof."""
+    """Tune in this process and return table and proof."""
     assert main([*SMALL, *words, "--output", str(output)]) == 0
     return output.read_text(), json.loads(output.with_suffix(".json").read_text())
 
 
-def test_a_tuned_table_drives_marks_what_is_not_reached_and_says_where_it_comes_from(
+def test_a_tuned_table_can_be_loaded_marks_unreached_nodes_and_has_its_provenance(
     tmp_path: Path,
 ) -> None:
     text, proof = tuned(tmp_path / "a.yaml", "--generations", "3")
@@ -51,11 +50,11 @@ def test_a_tuned_table_drives_marks_what_is_not_reached_and_says_where_it_comes_
     assert not (tmp_path / "a.checkpoint").exists()
 
 
-def test_the_fitness_that_is_reported_is_that_of_the_gains_that_are_written(
+def test_the_reported_fitness_is_that_of_the_written_gains(
     tmp_path: Path,
 ) -> None:
     _, proof = tuned(tmp_path / "a.yaml", "--generations", "2")
-    task = task_of(parser().parse_args([*SMALL, "--generations", "2"]))
+    task = read_task(build_parser().parse_args([*SMALL, "--generations", "2"]))
     written = load_gain_table(str(tmp_path / "a.yaml"))
     kind = "table, seed 1" if proof["verdict"].endswith("table written") else "single, seed 1"
     reported = proof["candidates"][kind]["fitness"]
@@ -75,14 +74,14 @@ def test_a_search_that_was_killed_resumes_to_the_same_table_bit_for_bit(tmp_path
     assert seen
     assert not (tmp_path / "cut.yaml").exists()
     before = generations(tmp_path / "cut.checkpoint")
-    assert main([*words[:-1], str(tmp_path / "cut.yaml")]) == 2  # nothing is thrown away
+    assert main([*words[:-1], str(tmp_path / "cut.yaml")]) == 2  # the checkpoints are kept
     assert generations(tmp_path / "cut.checkpoint") == before
     assert tuned(tmp_path / "cut.yaml", "--generations", "30", "--resume") == whole
 
 
-def wait_for(condition: Callable[[], bool], patience: float = 100.0) -> bool:
-    """Wait until a condition holds."""
-    end = time.monotonic() + patience
+def wait_for(condition: Callable[[], bool], timeout: float = 100.0) -> bool:
+    """Wait until a condition holds, and return whether it does."""
+    end = time.monotonic() + timeout
     while time.monotonic() < end:
         if condition():
             return True
@@ -91,12 +90,12 @@ def wait_for(condition: Callable[[], bool], patience: float = 100.0) -> bool:
 
 
 def generations(folder: Path) -> int:
-    """Sum of all generations that are kept in a folder of checkpoints."""
+    """Return the number of all generations in a folder of checkpoints."""
     files = [f for f in folder.glob("*.json") if f.name != "task.json"]
     return sum(json.loads(f.read_text())["generation"] + 1 for f in files)
 
 
-def test_a_disk_that_fills_up_loses_nothing_and_is_one_clear_line(
+def test_a_disk_that_fills_up_loses_no_checkpoint_and_gives_one_error_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = tuned(tmp_path / "whole.yaml", "--generations", "4")
@@ -115,40 +114,42 @@ def test_a_disk_that_fills_up_loses_nothing_and_is_one_clear_line(
         assert main(words) == 2
     said = capsys.readouterr().out
     assert said.count("error:") == 1
-    assert "No space left on device; what was saved before is whole" in said
+    assert "cut" in said
+    assert "No space left on device" in said
+    assert "--resume" in said
     assert generations(tmp_path / "cut.checkpoint") > 0
     assert tuned(tmp_path / "cut.yaml", "--generations", "4", "--resume") == whole
 
 
-def searched(workers: Workers, folder: Path, show: Callable[[Job, Swarm], None]) -> Any:
-    """Carry a small task out."""
-    task = task_of(parser().parse_args([*SMALL, "--generations", "6"]))
+def searched(workers: Workers, folder: Path, show: Callable[[Search, Swarm], None]) -> Any:
+    """Run the searches of a small task."""
+    task = read_task(build_parser().parse_args([*SMALL, "--generations", "6"]))
     checkpoints = Checkpoints(folder)
-    return carry_out(jobs_of(task), workers, checkpoints, show)
+    return run_searches(searches_of(task), workers, checkpoints, show)
 
 
-def ignore(job: Job, swarm: Swarm) -> None:
-    """Look at nothing."""
+def ignore(search: Search, swarm: Swarm) -> None:
+    """Ignore the progress."""
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
-    """What one thread finds."""
+def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, SearchResult]:
+    """Results of one thread."""
     with open_workers(1) as workers:
-        found: dict[str, Found] = searched(workers, tmp_path_factory.mktemp("alone"), ignore)
+        found: dict[str, SearchResult] = searched(workers, tmp_path_factory.mktemp("alone"), ignore)
     return found
 
 
 @pytest.mark.parametrize(("count", "processes"), [(3, False), (2, True)])
 def test_threads_and_processes_find_the_same_bit_for_bit(
-    alone: dict[str, Found], tmp_path: Path, count: int, processes: bool
+    alone: dict[str, SearchResult], tmp_path: Path, count: int, processes: bool
 ) -> None:
     with open_workers(count, processes) as workers:
         assert searched(workers, tmp_path, ignore) == alone
 
 
 def test_a_cluster_whose_worker_is_killed_finds_the_same_bit_for_bit(
-    alone: dict[str, Found], tmp_path: Path
+    alone: dict[str, SearchResult], tmp_path: Path
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is an optional extra")
     from ampc_msgs_config.compiled import source_hash
@@ -160,27 +161,27 @@ def test_a_cluster_whose_worker_is_killed_finds_the_same_bit_for_bit(
         assert len(set(client.run(source_hash).values())) == 1
         seen: list[int] = []
 
-        def kill_one(job: Job, swarm: Swarm) -> None:
+        def kill_one(search: Search, swarm: Swarm) -> None:
             seen.append(swarm.generation)
             if len(seen) == 8:
                 os.kill(pids[0], signal.SIGKILL)
 
         with open_workers(1, scheduler=cluster.scheduler_address, trusted=True) as workers:
-            assert workers.places == 2
+            assert workers.capacity == 2
             assert searched(workers, tmp_path, kill_one) == alone
         assert len(seen) > 8
         client.close()
 
 
-def test_workers_that_are_gone_are_one_clear_line(tmp_path: Path) -> None:
+def test_lost_workers_give_one_error_line(tmp_path: Path) -> None:
     with open_workers(1, processes=True) as workers:
         pid = workers.executor.submit(os.getpid).result()
 
-        def kill(job: Job, swarm: Swarm) -> None:
+        def kill(search: Search, swarm: Swarm) -> None:
             os.kill(pid, signal.SIGKILL)
             time.sleep(0.2)
 
-        with pytest.raises(ValueError, match=r"workers: lost .*--resume goes on"):
+        with pytest.raises(ValueError, match=r"workers: lost .*--resume"):
             searched(workers, tmp_path, kill)
     assert generations(tmp_path) > 0
 
@@ -191,7 +192,7 @@ def test_a_table_has_to_beat_the_single_set_by_a_tenth(
 ) -> None:
     grid = load_gain_table("table3")
     two = (Candidate(name, grid, (x,), (x,)) for name, x in (("t", table), ("s", single)))
-    report = Report(next(two), next(two), (), {}, ())
+    report = TuningReport(next(two), next(two), (), ())
     assert report.is_table == is_table
     assert report.verdict.endswith("table written") == is_table
 
@@ -199,7 +200,7 @@ def test_a_table_has_to_beat_the_single_set_by_a_tenth(
 def test_where_no_single_set_comes_through_the_table_is_written() -> None:
     grid = load_gain_table("table3")
     none = Candidate(NO_SINGLE, grid, (np.inf,), (np.inf,))
-    report = Report(Candidate("t", grid, (0.1,), (0.1,)), none, (), {}, ())
+    report = TuningReport(Candidate("t", grid, (0.1,), (0.1,)), none, (), ())
     assert report.is_table
     assert report.verdict == "no single gain set brings every car through: table written"
 
@@ -207,8 +208,8 @@ def test_where_no_single_set_comes_through_the_table_is_written() -> None:
 def test_a_table_that_is_worse_between_its_nodes_is_not_written() -> None:
     grid = load_gain_table("table3")
     table, single = Candidate("t", grid, (0.1,), (1.01,)), Candidate("s", grid, (9.0,), (1.0,))
-    report = Report(table, single, (), {}, ())
-    assert report.gain > 0.1
+    report = TuningReport(table, single, (), ())
+    assert report.advantage > 0.1
     assert not report.is_table
     assert report.verdict.startswith("between its nodes the table is worse")
 
@@ -216,4 +217,4 @@ def test_a_table_that_is_worse_between_its_nodes_is_not_written() -> None:
 def test_a_table_that_loses_a_car_between_its_nodes_is_not_written() -> None:
     grid = load_gain_table("table3")
     lost = Candidate("t", grid, (0.1,), (np.inf,))
-    assert not Report(lost, Candidate("s", grid, (9.0,), (9.0,)), (), {}, ()).is_table
+    assert not TuningReport(lost, Candidate("s", grid, (9.0,), (9.0,)), (), ()).is_table

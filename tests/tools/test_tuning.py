@@ -1,4 +1,4 @@
-"""Tuning tasks: what is searched for, which searches it takes, and what is refused."""
+"""Tuning tasks: search space, searches, checkpoints, and rejected options."""
 
 import errno
 import json
@@ -8,32 +8,44 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import minimize
 from ampc_ros.pso.settings import PsoSettings
 from ampc_ros.pso.swarm import Swarm, to_json
-from launch_scripts.tune import command_of, main, parser, task_of
-from launch_scripts.tuning.files import Checkpoints, write_whole
-from launch_scripts.tuning.space import PRESETS, dimensions, gains_at, search_space
-from launch_scripts.tuning.task import Job, describe, held_out, jobs_of, lookup
+from launch_scripts.tune import build_parser, command_of, main
+from launch_scripts.tuning.search import Checkpoints, write_atomically
+from launch_scripts.tuning.task import (
+    DEFAULT_BOUNDS,
+    DEFAULT_TUNED,
+    PRESETS,
+    SYMBOLS,
+    Search,
+    build_table,
+    describe_task,
+    dimensions,
+    gains_at,
+    held_out_nodes,
+    read_task,
+    search_space,
+    searches_of,
+)
 
-FIXED = PRESETS["preview"].fixed
+FIXED = PRESETS["preview"].space.fixed
 PAPER_GRID = ["--formulation", "paper", "--speeds", "3", "9", "--references", "0", "15"]
 
 
 def task(*words: str):  # type: ignore[no-untyped-def]
-    return task_of(parser().parse_args(words))
+    return read_task(build_parser().parse_args(words))
 
 
 def swarm() -> Swarm:
-    """Give some swarm, with particles that have no finite fitness."""
+    """Return a swarm with particles whose fitness is infinite."""
     where = dimensions(search_space({"R": (1.0, 100.0)}, FIXED))
     settings = PsoSettings(particles=3, generations=2)
     cost = lambda x: float(x[0]) if x[0] < 1.0 else np.inf  # noqa: E731
     return minimize(cost, where, settings, np.random.default_rng(1)).swarm
 
 
-def test_weights_are_searched_for_in_the_logarithm() -> None:
+def test_weights_are_searched_in_the_logarithm() -> None:
     space = search_space({"R": (1.0, 1e4), "alpha": (0.0, 0.8)}, FIXED)
     rows = gains_at(space, np.array([[0.0, 0.0], [2.0, 0.4], [4.0, 0.8]]))
     np.testing.assert_allclose(rows[:, 5], [1.0, 100.0, 1e4])
@@ -47,31 +59,31 @@ def test_control_horizon_and_terms_stay_within_the_prediction_horizon() -> None:
     np.testing.assert_array_equal(rows[:, :3], [[4, 4, 4], [50, 3, 2]])
 
 
-def test_table_single_set_and_chance_cost_the_same() -> None:
+def test_table_single_set_and_random_search_drive_the_same_number_of_cars() -> None:
     some = task("--speeds", "5", "9", "15", "--seeds", "3")
     cost: dict[str, int] = {}
-    for job in jobs_of(some):
+    for job in searches_of(some):
         drives = job.settings.particles * (job.settings.generations + 1) * len(job.nodes)
         cost[job.purpose] = cost.get(job.purpose, 0) + drives
     assert len(set(cost.values())) == 1
     assert set(cost) == {"table", "single", "random"}
 
 
-def test_what_lies_beyond_two_seconds_of_speed_is_not_searched_for() -> None:
+def test_references_beyond_two_seconds_of_speed_are_not_searched() -> None:
     some = task(*PAPER_GRID)
-    places = {(n.speed, n.reference) for job in jobs_of(some) for n in job.nodes}
+    places = {(n.speed, n.reference) for job in searches_of(some) for n in job.nodes}
     assert places == {(3.0, 0.0), (9.0, 0.0), (9.0, 15.0)}
 
 
 def test_held_out_speeds_lie_half_way_between_those_of_the_grid() -> None:
-    assert [node.speed for node in held_out(task("--speeds", "4", "6", "10"))] == [5.0, 8.0]
+    assert [node.speed for node in held_out_nodes(task("--speeds", "4", "6", "10"))] == [5.0, 8.0]
 
 
 def test_every_search_has_random_numbers_of_its_own_that_depend_on_seed_and_node() -> None:
-    def first(job: Job) -> float:
-        return float(job.rng.random())
+    def first(search: Search) -> float:
+        return float(search.rng.random())
 
-    jobs = jobs_of(task("--speeds", "5", "9", "--seeds", "1", "2"))
+    jobs = searches_of(task("--speeds", "5", "9", "--seeds", "1", "2"))
     assert len({first(job) for job in jobs}) == len(jobs)
     assert first(next(j for j in jobs if j.name == "table_2_001")) == float(
         np.random.default_rng([2, 1]).random()
@@ -81,21 +93,21 @@ def test_every_search_has_random_numbers_of_its_own_that_depend_on_seed_and_node
 def test_a_gap_in_a_table_takes_the_gains_of_its_neighbour_at_the_same_speed() -> None:
     gains = [FIXED._replace(increment_weight=R) for R in (1.0, 2.0, 3.0)]
     places = [(3.0, 0.0), (9.0, 0.0), (9.0, 15.0)]
-    table = lookup(dict(zip(places, gains, strict=True)), task(*PAPER_GRID))
+    table = build_table(dict(zip(places, gains, strict=True)), task(*PAPER_GRID))
     assert [node.increment_weight for node in table.nodes] == [1.0, 1.0, 2.0, 3.0]
 
 
 def test_the_command_leads_to_the_same_task() -> None:
     words = [*PAPER_GRID, "--tune", "alpha", "R", "--bounds", "R=0.1:5", "--fix", "N_p=30"]
-    chosen = parser().parse_args([*words, "--resume", "--workers", "1", "--output", "a.yaml"])
+    chosen = build_parser().parse_args([*words, "--resume", "--workers", "1", "--output", "a.yaml"])
     command = command_of(chosen).split()
     assert command[:2] == ["python", "launch_scripts/tune.py"]
-    assert task(*command[2:]) == task_of(chosen)
+    assert task(*command[2:]) == read_task(chosen)
     assert not {"--resume", "--workers", "--output"} & set(command)
 
 
 def test_a_task_describes_itself_in_json() -> None:
-    described = describe(task(*PAPER_GRID))
+    described = describe_task(task(*PAPER_GRID))
     assert json.loads(json.dumps(described)) == described
     assert described["bounds"]["alpha"] == [0.75, 0.99]
     assert "output_weight" not in described
@@ -103,12 +115,12 @@ def test_a_task_describes_itself_in_json() -> None:
 
 
 WRONG = {
-    "--speeds": "speeds = [] must have at least one place",
+    "--speeds": "speeds = [] must have at least one value",
     "--speeds 9 nan": "speeds[1] = nan must lie in [0.5, 100]",
     "--speeds 9 5": "speeds[1] = 5 must be greater than 9",
     "--speeds 0": "speeds[0] = 0.0 must lie in [0.5, 100]",
     "--references 0 5": "references = [0.0, 5.0] must be [0] for fitness robust",
-    "--formulation paper --speeds 3 --references 15": "none is reached",
+    "--formulation paper --speeds 3 --references 15": "none is reachable",
     "--bounds R=5:1": "bounds: R.low = 5.0 must be below R.high = 1.0",
     "--bounds R=1:nan": "bounds: R.high = nan must lie in",
     "--bounds R=0:1": "bounds: R.low = 0.0 must lie in [1e-09, 1e+09]",
@@ -124,19 +136,19 @@ WRONG = {
     "--particles 1": "particles = 1 must lie in [2, 1e+06]",
     "--workers 0": "--workers 0: must be at least 1",
     "--vehicle nowhere.yaml": "'nowhere.yaml' is neither a file nor one of the shipped vehicles",
-    "--resume --output nowhere/a.yaml": "nowhere/a.checkpoint: nothing to resume there",
-    "--scheduler tcp://127.0.0.1:9": "Dask sends pickles, which run whatever code they hold",
-    "--scheduler tcp://127.0.0.1:9 --trust-scheduler": "127.0.0.1:9: no scheduler answers there",
+    "--resume --output nowhere/a.yaml": "nowhere/a.checkpoint: nothing to resume",
+    "--scheduler tcp://127.0.0.1:9": "--trust-scheduler",
+    "--scheduler tcp://127.0.0.1:9 --trust-scheduler": "127.0.0.1:9: no scheduler answers",
 }
 
 
 @pytest.mark.parametrize("words", WRONG)
-def test_bad_input_is_one_clear_line(
+def test_a_wrong_option_gives_one_error_line_with_key_value_and_bound(
     words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if "scheduler" in words:
         pytest.importorskip("distributed", reason="Dask is an optional extra")
-        monkeypatch.setattr("launch_scripts.tuning.workers.PATIENCE", 1)
+        monkeypatch.setattr("launch_scripts.tuning.workers.CONNECTION_TIMEOUT", 1)
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     said = capsys.readouterr().out
@@ -159,7 +171,7 @@ def test_a_wrong_vehicle_file_is_named_with_key_value_and_bound(
 
 def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
-    kept.begin({"a": 1})
+    kept.begin({"a": 1}, False)
     kept.save("x", swarm())
     loaded = kept.load("x")
     assert loaded is not None
@@ -170,49 +182,50 @@ def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_task_is_refused_with_the_field_that_differs(
     tmp_path: Path,
 ) -> None:
-    kept, some = Checkpoints(tmp_path / "c"), describe(task("--speeds", "5", "9"))
-    kept.begin(some)
-    kept.resume(some)
-    with pytest.raises(ValueError, match=r"another task: speed = \[5.0, 9.0\], now \[5.0, 8.0\]"):
-        kept.resume(describe(task("--speeds", "5", "8")))
-    with pytest.raises(ValueError, match="--resume goes on with it"):
-        kept.begin(some)
+    kept, some = Checkpoints(tmp_path / "c"), describe_task(task("--speeds", "5", "9"))
+    kept.begin(some, False)
+    kept.begin(some, True)
+    with pytest.raises(ValueError, match=r"speed = \[5.0, 9.0\], now \[5.0, 8.0\]"):
+        kept.begin(describe_task(task("--speeds", "5", "8")), True)
+    with pytest.raises(ValueError, match=r"c: .*--resume"):
+        kept.begin(some, False)
 
 
-def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_checkpoint_is_named(tmp_path: Path) -> None:
     kept = Checkpoints(tmp_path / "c")
-    kept.begin({"a": 1})
+    kept.begin({"a": 1}, False)
     for text, cause in (
         ("{", "cannot be read"),
         ("[" * 10**6, "cannot be read"),
         ("[]", "must hold"),
-        ("{}", "no checkpoint"),
+        ("{}", "not a checkpoint"),
     ):
         (kept.folder / "x.json").write_text(text)
         with pytest.raises(ValueError, match=f"x.json: {cause}"):
             kept.load("x")
 
 
-def test_a_full_disk_costs_nothing_that_was_saved(
+def test_a_full_disk_keeps_the_previous_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     file = tmp_path / "a.json"
-    write_whole(file, "old")
+    write_atomically(file, "old")
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
         with pytest.raises(ValueError, match=r"a.json: cannot be written: No space left on device"):
-            write_whole(file, "new")
+            write_atomically(file, "new")
     assert file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]
-    write_whole(file, "new")
+    write_atomically(file, "new")
     assert file.read_text() == "new"
 
 
-def test_presets_are_sound() -> None:
-    for name, preset in PRESETS.items():
+def test_presets_are_valid_tasks() -> None:
+    for name in PRESETS:
         chosen = task("--formulation", name)
-        assert {symbol for symbol, _, _ in chosen.space.bounds} == set(preset.tuned)
-        assert isinstance(preset.fixed, Gains)
+        assert {symbol for symbol, _, _ in chosen.space.bounds} == set(DEFAULT_TUNED[name])
+        assert set(DEFAULT_BOUNDS[name]) == set(SYMBOLS)
+        assert chosen == PRESETS[name]._replace(space=chosen.space)

@@ -1,4 +1,4 @@
-"""The workspace: what colcon sees, and what bootstrap says when it cannot go on."""
+"""The workspace: colcon packages, manifests, and error messages of bootstrap."""
 
 import importlib
 import importlib.util
@@ -20,13 +20,13 @@ KEYS = {
     "yaml": "python3-yaml",
     **{name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "rich", "scipy")},
 }
-"""Of rosdep, by the name of the module."""
+"""rosdep keys by module name."""
 NO_KEY = {"lz4", "mcap", "plotly", "rosbags", "tsdownsample", "zstandard"}
 DEVELOPMENT = {
     *("casadi", "cma", "daqp", "do_mpc", "osqp", "piqp", "quadprog", "python3-scipy"),
     *("distributed", "setuptools", "vehiclemodels"),
 }
-"""What only benchmarks, tests or a cluster need."""
+"""Modules needed only by benchmarks, tests or a cluster."""
 PIP_OUTPUTS = {
     "the package index cannot be reached": """
 WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError(': Failed to
@@ -38,11 +38,11 @@ ERROR: No matching distribution found for numba==0.68.1
 ERROR: Could not find a version that satisfies the requirement ros-jazzy-rclpy[fastrtps]==7.1.6
 ERROR: No matching distribution found for ros-jazzy-rclpy[fastrtps]==7.1.6
 """,
-    "without a compiler": """
+    "there is no compiler": """
 error: command 'gcc' failed: No such file or directory
 ERROR: Failed building wheel for contourpy
 """,
-    "not the one that was locked": """
+    "the hash of a package differs": """
 ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE. If you have updated the
 package versions, please update the hashes. Otherwise, examine the package contents carefully
     mdurl==0.1.2 from file:///wheels/mdurl-0.1.2-py3-none-any.whl (from -r a.txt (line 5))
@@ -50,7 +50,7 @@ package versions, please update the hashes. Otherwise, examine the package conte
     "the disk is full": """
 ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device
 """,
-    "pip failed: ERROR: something never seen before": "ERROR: something never seen before\n",
+    "pip failed: ERROR: unknown message": "ERROR: unknown message\n",
 }
 
 
@@ -73,7 +73,7 @@ def test_manifest_and_setup_agree_on_version_and_maintainer(package: str) -> Non
 
 
 @pytest.mark.parametrize("package", sorted(PACKAGES))
-def test_every_executable_names_a_function_that_is_there(package: str) -> None:
+def test_every_executable_names_an_existing_function(package: str) -> None:
     setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
     executables = re.findall(r'"\w+ = ([\w.]+):(\w+)"', setup)
     assert executables
@@ -82,7 +82,7 @@ def test_every_executable_names_a_function_that_is_there(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", sorted(PACKAGES))
-def test_manifest_names_what_the_modules_import(package: str) -> None:
+def test_the_manifest_names_all_imported_packages(package: str) -> None:
     manifest = (ROOT / package / "package.xml").read_text(encoding="utf-8")
     named = set(re.findall(r"<exec_depend>(.+)</exec_depend>", manifest))
     folder = ROOT / package if package == "launch_scripts" else ROOT / package / package
@@ -92,26 +92,26 @@ def test_manifest_names_what_the_modules_import(package: str) -> None:
 
 
 @pytest.mark.parametrize("expected", PIP_OUTPUTS)
-def test_bootstrap_turns_a_failure_of_pip_into_one_sentence(expected: str) -> None:
+def test_bootstrap_explains_a_failure_of_pip_in_one_sentence(expected: str) -> None:
     sentence = bootstrap.explain_pip(PIP_OUTPUTS[expected], "3.15.0", "aarch64")
     assert expected in sentence
     assert "\n" not in sentence
 
 
 @pytest.mark.parametrize("machine", [("Linux", "aarch64"), ("Darwin", "arm64"), ("Windows", "x")])
-def test_bootstrap_sends_machines_without_ros_wheels_to_ros_itself(
+def test_bootstrap_rejects_machines_without_ros_wheels(
     machine: tuple[str, str],
 ) -> None:
-    with pytest.raises(bootstrap.SetupError, match="install ROS 2 Jazzy"):
+    with pytest.raises(bootstrap.SetupError, match=machine[1]):
         bootstrap.require_wheels(*machine)
 
 
 def test_bootstrap_refuses_another_ros_distribution() -> None:
-    with pytest.raises(bootstrap.SetupError, match="humble is sourced"):
+    with pytest.raises(bootstrap.SetupError, match="humble"):
         bootstrap.uses_installed_ros("humble")
 
 
 def test_bootstrap_names_a_missing_venv_module(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(bootstrap.SetupError, match="apt install python3-venv"):
+    with pytest.raises(bootstrap.SetupError, match="python3-venv"):
         bootstrap.create_venv(with_ros=False)

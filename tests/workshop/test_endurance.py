@@ -1,4 +1,4 @@
-"""Two minutes of the hour: what is counted, and what is complained of."""
+"""Endurance test of two minutes: counts and failed conditions."""
 
 import csv
 import math
@@ -13,7 +13,7 @@ from tests.workshop.fault_matrix.endurance import (
     GROWTH,
     PAUSE,
     PIECE,
-    Account,
+    EnduranceResult,
     Minute,
     drive_for,
     is_inside,
@@ -27,7 +27,7 @@ from tests.workshop.fault_matrix.inject_cells import Bench, Conditions
 
 @pytest.fixture(scope="module")
 def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An oval of 600 m."""
+    """Return an oval of 600 m as a CSV file."""
     file = tmp_path_factory.mktemp("tracks") / "oval.csv"
     corners = [(150.0 * math.cos(0.02 * math.pi * i), 60.0 * math.sin(0.02 * math.pi * i))
                for i in range(101)]  # fmt: skip
@@ -57,21 +57,21 @@ def test_faults_are_drawn_by_seed_with_pauses_and_to_both_sides() -> None:
     assert min(jumps) < 0 < max(jumps)
 
 
-def account(*minutes: Minute, missed: int = 0) -> Account:
-    """Give an account of some minutes."""
-    return Account(minutes, 0, 0, missed, 600 * len(minutes))
+def account(*minutes: Minute, missed: int = 0) -> EnduranceResult:
+    """Return the result of some minutes."""
+    return EnduranceResult(minutes, 0, 0, missed, 600 * len(minutes))
 
 
 GOOD = Minute(100.0, 0.5, 600, 0, 3)
 
 
-def test_what_does_not_hold_is_told() -> None:
-    assert account(*[GOOD] * 10).complaints == []
-    assert account(GOOD, missed=1).complaints == ["1 ticks missed"]
-    outside = account(GOOD, GOOD._replace(outside=2)).complaints
+def test_failed_conditions_are_listed() -> None:
+    assert account(*[GOOD] * 10).failures == []
+    assert account(GOOD, missed=1).failures == ["1 ticks missed"]
+    outside = account(GOOD, GOOD._replace(outside=2)).failures
     assert outside == ["2 commands outside the limits"]
     for error in (10.1, math.nan):
-        assert account(GOOD._replace(error=error)).complaints[0].startswith("the car was")
+        assert account(GOOD._replace(error=error)).failures[0].startswith("the car was")
 
 
 @pytest.mark.parametrize(("growth", "flat"), [(GROWTH - 0.01, True), (GROWTH, False)])
@@ -79,10 +79,10 @@ def test_memory_may_grow_before_minute_five_and_less_than_5_mb_after_it(
     growth: float, flat: bool
 ) -> None:
     later = [GOOD._replace(memory=120.0)] * 3 + [GOOD._replace(memory=120.0 + growth)]
-    assert (account(*[GOOD] * 4, *later).complaints == []) == flat
+    assert (account(*[GOOD] * 4, *later).failures == []) == flat
 
 
-def test_a_command_outside_the_limits_is_seen() -> None:
+def test_a_command_outside_the_limits_is_detected() -> None:
     drive = Bench(Conditions()).drive(load_course("sc1", Bench(Conditions()).vehicle.size), ())
     drive.run(1.0)
     config, tick = drive.supervisor.config, drive.ticks[-1]
@@ -98,16 +98,16 @@ def test_a_command_outside_the_limits_is_seen() -> None:
 
 
 def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for given, complaint in (
+    for given, message in (
         (["--hours", "0"], "--hours = 0.0 must lie in [0.01, 100] h"),
         (["--seed", "-1"], "--seed = -1 must lie in"),
         (["--path", str(tmp_path / "none.csv")], "cannot be read"),
     ):
         assert main(given) == 2
-        assert complaint in " ".join(capsys.readouterr().out.split())
+        assert message in " ".join(capsys.readouterr().out.split())
 
 
-def test_an_account_covers_every_minute(circuit: Path) -> None:
+def test_a_result_covers_every_minute(circuit: Path) -> None:
     found = drive_for(PIECE, circuit, Conditions(seed=3), Console(quiet=True))
     assert len(found.minutes) == 1
     assert 580 <= found.minutes[0].commands <= found.expected == 600

@@ -109,4 +109,4 @@ def test_a_forgotten_request_to_stop_is_found(monkeypatch: pytest.MonkeyPatch) -
 def test_a_violation_tells_what_repeats_it(monkeypatch: Any, capsys: Any) -> None:
     monkeypatch.setattr(Guard, "step", with_guarded(BROKEN_GUARDS["limit"][0]))
     assert main(["--target", "core", "--seed", "5", "--drive", "2"]) == 1
-    assert "fuzz.py --target core --seed 5 --drive 2" in capsys.readouterr().out
+    assert "fuzz.fuzz --target core --seed 5 --drive 2" in capsys.readouterr().out

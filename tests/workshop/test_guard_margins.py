@@ -1,4 +1,4 @@
-"""Ordinary driving is not clipped by the guard for roads, nothing by that for test tracks."""
+"""Ordinary driving is not clipped by the guard for roads, and no drive by that for tracks."""
 
 import pytest
 
@@ -12,31 +12,31 @@ ORDINARY = ("sc1", "sc1_falcone", "circle", "sine", "straight", "sc3_fast_wind")
 ON_TRACKS = ("iso3888_1", "iso3888_2", *DRIVES_AT_THE_LIMIT)
 
 
-def held_against(limits: str, scenario: str, car: str) -> Margin:
-    """Drive, and hold the commands against shipped limits."""
+def measure_margin(limits: str, scenario: str, car: str) -> Margin:
+    """Drive a scenario and compare the commands with shipped limits."""
     return margin(run(Trial(scenario, car), "preview"), load(GuardLimits, find("guards", limits)))
 
 
 @pytest.mark.parametrize("car", CARS)
 @pytest.mark.parametrize("scenario", ORDINARY)
 def test_ordinary_driving_stays_inside_the_limits_of_the_road(scenario: str, car: str) -> None:
-    found = held_against("road", scenario, car)
-    assert found.clipped == 0
-    assert max(found.shares) < 0.95
+    result = measure_margin("road", scenario, car)
+    assert result.clipped == 0
+    assert max(result.shares) < 0.95
 
 
 @pytest.mark.parametrize("car", CARS)
 @pytest.mark.parametrize("scenario", [*ORDINARY, *ON_TRACKS])
-def test_nothing_that_tyres_can_do_is_clipped_on_a_test_track(scenario: str, car: str) -> None:
-    assert held_against("track", scenario, car).clipped == 0
+def test_no_manoeuvre_within_the_tyre_limits_is_clipped_on_a_track(scenario: str, car: str) -> None:
+    assert measure_margin("track", scenario, car).clipped == 0
 
 
-def test_a_manoeuvre_at_the_limit_of_the_tyre_is_clipped_on_the_road_and_told() -> None:
+def test_a_manoeuvre_at_the_limit_of_the_tyre_is_clipped_and_counted_on_the_road() -> None:
     trial = Trial("sc3_constant", "ordinary")
-    found = held_against("road", trial.scenario, trial.car)
-    assert found.clipped == found.limits["lateral_acceleration"] > 10
-    assert cells(trial, found)[-1] == f"lateral_acceleration {found.clipped}"
-    assert found.shares[1] == pytest.approx(1.84, abs=0.02)
+    result = measure_margin("road", trial.scenario, trial.car)
+    assert result.clipped == result.limits["lateral_acceleration"] > 10
+    assert cells(trial, result)[-1] == f"lateral_acceleration {result.clipped}"
+    assert result.shares[1] == pytest.approx(1.84, abs=0.02)
 
 
 def test_margins_are_those_of_commands_one_by_one() -> None:

@@ -1,4 +1,4 @@
-"""Faults between car and controller: the computed real time, the matrix, and what it tells."""
+"""Fault matrix: simulated timing, recovery from every fault, and the report."""
 
 import json
 import math
@@ -22,7 +22,7 @@ from tests.workshop.fault_matrix.inject_cases import (
     load_course,
     mirrored,
 )
-from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course, judge
+from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course, evaluate_cell
 
 BY_NAME = {case.name: case for case in CASES}
 MIRRORED = (
@@ -39,28 +39,28 @@ MIRRORED = (
     "path zigzags by 1 m",
 )
 SAME = 1.0e-9
-"""[m] and [rad]: rounding, seen through 20 s of feedback."""
+"""Effect of rounding after 20 s of feedback [m] and [rad]."""
 
 
 @cache
 def bench(vehicle: str = "paper") -> Bench:
-    """Car and controller."""
+    """Return car and controller."""
     return Bench(Conditions(vehicle=vehicle))
 
 
 @cache
 def course(name: str = "sc1") -> Course:
-    """A road, driven without a fault."""
+    """Return a road with its drive without a fault."""
     return bench().course(load_course(name, bench().vehicle.size))
 
 
 @cache
 def cell(name: str, road: str = "sc1") -> Cell:
-    """One fault on one road."""
+    """Return the cell of a fault on a road."""
     return bench().cell(BY_NAME[name], course(road))
 
 
-def test_without_a_fault_nothing_is_refused_missed_clipped_or_answered_from_below() -> None:
+def test_without_a_fault_nothing_is_rejected_missed_clipped_or_from_a_fallback() -> None:
     log = course("sc1").free
     assert not log.rejected
     assert not log.clips
@@ -103,7 +103,7 @@ def test_left_and_right_are_mirror_images(name: str, road: str) -> None:
         assert a.record[1:5] == b.record[1:5]
 
 
-def test_the_rungs_and_reasons_of_a_fault_are_told() -> None:
+def test_the_rungs_and_reasons_of_a_fault_are_counted() -> None:
     gone = cell("simulator gone for 2 s")
     assert set(gone.reasons) == {"state_late", "state_lost"}
     assert gone.rungs["stop"] == pytest.approx(1.5)
@@ -117,7 +117,7 @@ def test_the_rungs_and_reasons_of_a_fault_are_told() -> None:
     assert set(cell("odom lost for 0.4 s").rungs) == set(RUNGS)
 
 
-REFUSED = {
+REJECTED = {
     "x is NaN for 0.4 s": {"not_finite": 20},
     "wrong frame for 0.4 s": {"wrong_frame": 20},
     "zero quaternion, 0.4 s": {"no_rotation": 20},
@@ -128,9 +128,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_inputs_are_counted_by_cause(name: str) -> None:
-    assert cell(name).rejected == REFUSED[name]
+@pytest.mark.parametrize("name", REJECTED)
+def test_rejected_inputs_are_counted_by_cause(name: str) -> None:
+    assert cell(name).rejected == REJECTED[name]
 
 
 def test_a_queue_of_old_states_changes_no_command() -> None:
@@ -138,7 +138,7 @@ def test_a_queue_of_old_states_changes_no_command() -> None:
     assert cell("queue of 1000 old odom").resets == 0
 
 
-def test_a_driver_who_obeys_stands_after_a_stop_was_requested() -> None:
+def test_a_driver_who_obeys_the_stop_request_stops() -> None:
     obedient = Bench(Conditions(obey=True))
     fault = Fault(kind="silence", start=3.0, duration=1.0)
     drive = obedient.drive(course().scenario, (fault,))
@@ -148,7 +148,7 @@ def test_a_driver_who_obeys_stands_after_a_stop_was_requested() -> None:
 
 
 def log_with(error: list[float], rungs: list[int]) -> Log:
-    """Make a log of 10 s, a second apart, of given errors and rungs."""
+    """Return a log of 10 s with the given errors and rungs at each second."""
     whole = course().free
     ticks = []
     for i, rung in enumerate(rungs):
@@ -161,7 +161,7 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
 
 
 @pytest.mark.parametrize(
-    ("error", "rungs", "fate"),
+    ("error", "rungs", "outcome"),
     [
         ([0.0] * 10, [0] * 10, "0.0 s"),
         ([0.0] * 10, [0, 0, STOP, STOP, 0, 0, 0, 0, 0, 0], "0.0 s"),
@@ -172,17 +172,17 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
         ([0.0, 0.0, 0.0, math.nan, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0], [0] * 10, "lost at 3.0 s"),
     ],
 )
-def test_the_fate_of_a_car_follows_from_its_errors_and_rungs(
+def test_the_outcome_of_a_drive_follows_from_its_errors_and_rungs(
     error: list[float], rungs: list[int], outcome: str
 ) -> None:
     free = log_with([0.0] * 10, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
-    found = judge("x", Course(course().scenario, 2.0, free), fault, log_with(error, rungs))
+    found = evaluate_cell("x", Course(course().scenario, 2.0, free), fault, log_with(error, rungs))
     assert found.outcome == outcome
     assert found.fails == (not outcome.endswith("0 s") or outcome.startswith("lost"))
 
 
-def test_what_no_controller_survives_is_declared_with_its_reason(
+def test_an_unavoidable_loss_has_a_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert not UNAVOIDABLE  # by the default controller
@@ -191,13 +191,13 @@ def test_what_no_controller_survives_is_declared_with_its_reason(
     free = log_with([0.0] * 10, [0] * 10)
     lost = log_with([0.0] * 5 + [20.0] * 5, [0] * 10)
     fault = Fault(kind="silence", start=2.0, duration=1.0)
-    found = judge("x", Course(course().scenario, 2.0, free), fault, lost)
+    found = evaluate_cell("x", Course(course().scenario, 2.0, free), fault, lost)
     assert found.allowed_reason == "because"
     assert not found.kept
     assert not found.fails
 
 
-def test_the_command_leaves_numbers_and_a_picture(
+def test_the_command_writes_numbers_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = ["odom lost for 0.4 s", "path 2 m aside"]
@@ -218,7 +218,7 @@ def test_the_command_leaves_numbers_and_a_picture(
 def test_a_car_that_is_lost_makes_the_command_fail(tmp_path: Path) -> None:
     given = ["--controller", "classic", "--faults", "pose frozen for 2 s"]
     assert main([*given, "--scenarios", "sc2", "--output", str(tmp_path)]) == 1
-    assert "must not be" in (tmp_path / "faults.md").read_text("utf-8")
+    assert "not allowed" in (tmp_path / "faults.md").read_text("utf-8")
 
 
 WRONG = {
@@ -230,7 +230,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("complaint", WRONG)
-def test_a_wrong_option_is_named(complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(WRONG[complaint]) == 2
-    assert complaint in " ".join(capsys.readouterr().out.split())
+@pytest.mark.parametrize("message", WRONG)
+def test_a_wrong_option_is_named(message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(WRONG[message]) == 2
+    assert message in " ".join(capsys.readouterr().out.split())

@@ -1,6 +1,7 @@
-"""Drive all cases of the result table, the paper's formulation beside the preview, and judge them.
+"""Drive all cases of the result table with both formulations and compare them with thresholds.
 
-`python tests/workshop/acceptance/acceptance.py`; `--only scenarios iso3888` for a part.
+`python -m tests.workshop.acceptance.acceptance`; `--only scenarios iso3888` selects groups. Exit
+code 0: the preview formulation meets every threshold; 1: it does not.
 """
 
 import argparse
@@ -18,37 +19,37 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from tests.workshop.acceptance.acceptance_figure import draw_comparison
-from tests.workshop.acceptance.cases import BOTH, SPEEDS, Bar, Case, Measured, all_cases
+from tests.workshop.acceptance.cases import BOTH, SPEEDS, Case, Measured, Threshold, all_cases
 from tests.workshop.acceptance.trials import DATA, QUANTITIES
 
-HEADINGS = ("case", "quantity", "bar", *BOTH, "holds")
+HEADINGS = ("case", "quantity", "threshold", *BOTH, "met")
 WIDTH = 120
-"""Of the printed table, at least [characters]."""
-Answers = dict[tuple[int, str], Measured]
-"""By number of the case and name of the controller; empty where the controller cannot drive."""
+"""Minimum width of the printed table [characters]."""
+Measurements = dict[tuple[int, str], Measured]
+"""Results by case number and controller; empty where the controller cannot take the path."""
 
 
 class Row(NamedTuple):
-    """One line of the table."""
+    """One row of the table."""
 
     case: Case
-    bar: Bar
+    threshold: Threshold
     values: tuple[float, ...]
-    """Of the controllers in BOTH; nan where one cannot drive."""
+    """Values of the controllers in BOTH; NaN where one cannot take the path."""
 
     @property
     def holds(self) -> bool:
-        """Whether the preview keeps to the bar."""
-        return math.isinf(self.bar.limit) or self.bar.holds(self.values[0])
+        """True if the preview formulation meets the threshold."""
+        return math.isinf(self.threshold.limit) or self.threshold.holds(self.values[0])
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As text."""
-        bar, sign = self.bar, ">=" if self.bar.at_least else "<="
-        limit = "" if math.isinf(bar.limit) else f"{sign} {bar.limit:g}"
-        verdict = "" if math.isinf(bar.limit) else "yes" if self.holds else "NO"
+        """Cells of the row as text."""
+        threshold, sign = self.threshold, ">=" if self.threshold.at_least else "<="
+        limit = "" if math.isinf(threshold.limit) else f"{sign} {threshold.limit:g}"
+        verdict = "" if math.isinf(threshold.limit) else "yes" if self.holds else "NO"
         numbers = ("-" if math.isnan(value) else f"{value:.3g}" for value in self.values)
-        return (self.case.name, QUANTITIES[bar.quantity].label, limit, *numbers, verdict)
+        return (self.case.name, QUANTITIES[threshold.quantity].label, limit, *numbers, verdict)
 
 
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -56,45 +57,49 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     groups = list(dict.fromkeys(case.group for case in all_cases()))
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--output", type=Path, default=Path("runs/acceptance"), help="folder to write"
+        "--output", type=Path, default=Path("runs/acceptance"), help="folder; default: %(default)s"
     )
-    parser.add_argument("--only", nargs="+", default=groups, choices=groups, help="groups to drive")
-    parser.add_argument("--workers", type=int, default=2, help="processes; default: %(default)s")
+    parser.add_argument(
+        "--only", nargs="+", default=groups, choices=groups, help="groups; default: all"
+    )
+    parser.add_argument(
+        "--workers", type=int, default=2, help="number of processes; default: %(default)s"
+    )
     return parser.parse_args(arguments)
 
 
-def answer(case: Case, controller: str) -> Measured:
-    """Measure a case with a controller; nothing where it cannot drive there."""
+def measure_case(case: Case, controller: str) -> Measured:
+    """Measure a case with a controller; empty where it cannot take the path."""
     try:
         return case.measure(controller)
     except ValueError:
         return {}
 
 
-def measure_all(cases: Sequence[Case], workers: int, progress: Progress) -> Answers:
+def measure_all(cases: Sequence[Case], workers: int, progress: Progress) -> Measurements:
     """Measure all cases in parallel."""
-    answers: Answers = {}
+    measurements: Measurements = {}
     with ProcessPoolExecutor(workers) as pool:
         tasks = {
-            pool.submit(answer, case, name): (number, name)
+            pool.submit(measure_case, case, name): (number, name)
             for number, case in enumerate(cases)
             for name in case.controllers
         }
         for task in progress.track(as_completed(tasks), len(tasks), description="cases"):
-            answers[tasks[task]] = task.result()
-    return answers
+            measurements[tasks[task]] = task.result()
+    return measurements
 
 
-def rows_of(cases: Sequence[Case], answers: Answers) -> list[Row]:
-    """Bring the answers into the order of the cases."""
+def rows_of(cases: Sequence[Case], measurements: Measurements) -> list[Row]:
+    """Return the rows of the table in the order of the cases."""
 
     def value(number: int, name: str, quantity: str) -> float:
-        return answers.get((number, name), {}).get(quantity, math.nan)
+        return measurements.get((number, name), {}).get(quantity, math.nan)
 
     return [
-        Row(case, bar, tuple(value(number, name, bar.quantity) for name in BOTH))
+        Row(case, threshold, tuple(value(number, name, threshold.quantity) for name in BOTH))
         for number, case in enumerate(cases)
-        for bar in case.bars
+        for threshold in case.thresholds
     ]
 
 
@@ -111,8 +116,8 @@ def show(rows: Sequence[Row], console: Console) -> None:
     console.print(table)
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """Write the table for the README."""
+def result_table(rows: Sequence[Row]) -> str:
+    """Return the table as Markdown."""
     lines = ["| " + " | ".join(HEADINGS) + " |", "|---" * len(HEADINGS) + "|"]
     for row in rows:
         name, *cells = row.cells
@@ -120,31 +125,37 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def eigenvalue_table(cases: Sequence[Case], answers: Answers) -> str:
-    """Write spectral radius and margin of unknown delay over speed; empty without such cases."""
-    found = {c.name: answers[i, "preview"] for i, c in enumerate(cases) if c.group == "eigenvalues"}
-    if not found:
+def eigenvalue_table(cases: Sequence[Case], measurements: Measurements) -> str:
+    """Return spectral radius and delay margin over speed as Markdown; empty without such cases."""
+    columns = {
+        c.name: measurements[i, "preview"] for i, c in enumerate(cases) if c.group == "eigenvalues"
+    }
+    if not columns:
         return ""
     lines = [
         "\nSpectral radius, and the unknown delay [s] with which the loop is just stable:\n",
-        "| " + " | ".join(["speed [m/s]", *found]) + " |",
-        "|---" * (len(found) + 1) + "|",
+        "| " + " | ".join(["speed [m/s]", *columns]) + " |",
+        "|---" * (len(columns) + 1) + "|",
     ]
     for v in SPEEDS:
-        pairs = [(m[f"radius at {v:g} m/s"], m[f"margin at {v:g} m/s"]) for m in found.values()]
+        pairs = [(m[f"radius at {v:g} m/s"], m[f"margin at {v:g} m/s"]) for m in columns.values()]
         lines.append(" | ".join([f"| {v:g}", *(f"{r:.3f}, {s:.3f}" for r, s in pairs)]) + " |")
     return "\n".join(lines) + "\n"
 
 
-def content(cases: Sequence[Case], answers: Answers) -> list[dict[str, Any]]:
-    """Give all that was measured, for JSON, which knows no nan."""
+def results_to_json(cases: Sequence[Case], measurements: Measurements) -> list[dict[str, Any]]:
+    """Return all results as JSON values; NaN and infinity are null."""
     return [
         {
             "group": case.group,
             "case": case.name,
-            "bars": {bar.quantity: bar.limit for bar in case.bars if math.isfinite(bar.limit)},
+            "bars": {
+                threshold.quantity: threshold.limit
+                for threshold in case.thresholds
+                if math.isfinite(threshold.limit)
+            },
             **{
-                name: {k: v if math.isfinite(v) else None for k, v in answers[i, name].items()}
+                name: {k: v if math.isfinite(v) else None for k, v in measurements[i, name].items()}
                 for name in case.controllers
             },
         }
@@ -153,25 +164,25 @@ def content(cases: Sequence[Case], answers: Answers) -> list[dict[str, Any]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, judge, show, write; gives 1 if a bar is not held."""
+    """Measure all cases, print and write the table, and return the exit code."""
     chosen, console = options(arguments), Console(highlight=False)
     console.width = max(console.width, WIDTH)
     cases = [case for case in all_cases() if case.group in chosen.only]
     if not DATA.is_dir():
-        console.print(f"note: no recorded roads at {DATA}; these cases are left out")
+        console.print(f"note: no recorded roads in {DATA}; their cases are omitted")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        answers = measure_all(cases, chosen.workers, progress)
-    rows = rows_of(cases, answers)
+        measurements = measure_all(cases, chosen.workers, progress)
+    rows = rows_of(cases, measurements)
     show(rows, console)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(content(cases, answers), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(results_to_json(cases, measurements), indent=2, allow_nan=False) + "\n"
     (chosen.output / "acceptance.json").write_text(text, encoding="utf-8")
-    text = markdown(rows) + eigenvalue_table(cases, answers)
+    text = result_table(rows) + eigenvalue_table(cases, measurements)
     (chosen.output / "acceptance.md").write_text(text, encoding="utf-8")
     draw_comparison(("sc1", "sc3_varying"), chosen.output / "acceptance.png")
     failed = sum(not row.holds for row in rows)
-    console.print(f"{failed} bars not held; written to {chosen.output}")
+    console.print(f"{failed} thresholds not met; written to {chosen.output}")
     return int(failed > 0)
 
 

@@ -1,4 +1,4 @@
-"""One picture of two controllers: the paper's formulation beside the preview."""
+"""Figure of the acceptance table: both formulations on two scenarios."""
 
 from collections.abc import Sequence
 from pathlib import Path as File
@@ -17,12 +17,12 @@ from tests.workshop.acceptance.trials import Trial, run
 mpl.use("Agg")
 COLORS = {"paper": ORANGE, "preview": BLUE}
 LINEAR = 0.01
-"""Up to this error the logarithmic axis is linear [m]."""
+"""Error below which the logarithmic axis is linear [m]."""
 LABELS = ("Y [m]", "cross-track error [m]", "steering [deg]")
 
 
 def draw_comparison(scenarios: Sequence[str], file: File) -> None:
-    """Draw path, error and steering of both controllers, a column for each scenario."""
+    """Draw path, cross-track error and steering of both controllers, one column per scenario."""
     figure = Figure(figsize=(6.5 * len(scenarios), 9), layout="constrained", dpi=110)
     columns = figure.subplots(3, len(scenarios), squeeze=False).T
     for axes, name in zip(columns, scenarios, strict=True):

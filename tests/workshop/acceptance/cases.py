@@ -1,4 +1,4 @@
-"""The cases of the result table, and the bars that they have to hold: data."""
+"""Cases of the result table and their thresholds."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,24 +13,24 @@ from ampc_msgs_config.config import find
 from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.parameters import load_vehicle
 from tests.workshop.acceptance.stability import delay_margin, spectral_radius
-from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, controller, run_all
+from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run_all, shipped_controller
 
 BOTH, PREVIEW = ("preview", "paper"), ("preview",)
 Measured = dict[str, float]
 
 
-class Bar(NamedTuple):
-    """What a case has to hold."""
+class Threshold(NamedTuple):
+    """Threshold of a quantity."""
 
     quantity: str
     """Key of `QUANTITIES`."""
     limit: float = math.inf
-    """Infinite: told, not judged."""
+    """Infinite: the value is reported without a threshold."""
     at_least: bool = False
-    """The limit lies below."""
+    """True if the limit is a lower bound."""
 
     def holds(self, value: float) -> bool:
-        """Whether a value keeps to the limit; nan does not."""
+        """Check a value against the limit; NaN fails."""
         return value >= self.limit if self.at_least else value <= self.limit
 
 
@@ -40,13 +40,13 @@ class Case(NamedTuple):
     group: str
     name: str
     measure: Callable[[str], Measured]
-    """From the name of a controller to the quantities; raises ValueError where it cannot drive."""
-    bars: tuple[Bar, ...]
+    """Returns the quantities of a controller by name; ValueError if it cannot take the path."""
+    thresholds: tuple[Threshold, ...]
     controllers: tuple[str, ...] = BOTH
 
 
 def worst(trials: Sequence[Trial], quantities: Sequence[str], name: str) -> Measured:
-    """Drive all trials; give the largest of each quantity, and how many diverged."""
+    """Drive all trials and return the maximum of each quantity, and the number that diverged."""
     driven = run_all(trials, name)
     measures = {key: QUANTITIES[key].measure for key in quantities}
     values = {key: [m(d) for d in driven] for key, m in measures.items() if m}
@@ -54,13 +54,13 @@ def worst(trials: Sequence[Trial], quantities: Sequence[str], name: str) -> Meas
 
 
 def added(trial: Trial, without: Trial, name: str) -> Measured:
-    """Give the largest error of a trial, and what it exceeds that of another by."""
+    """Return the largest error of a trial, and its excess over that of another trial."""
     most, least = (worst([t], ["max"], name)["max"] for t in (trial, without))
     return {"max": most, "added": most - least}
 
 
 def fastest(trial: Trial, low: int, high: int, name: str) -> Measured:
-    """Give the highest of the whole speeds in [low, high) that touches no cone, by bisection."""
+    """Return the highest whole speed in [low, high) [km/h] without contact with a cone."""
 
     def passes(speed: int) -> bool:
         return worst([trial._replace(speed=speed / 3.6)], ["overlap"], name)["overlap"] <= 0
@@ -74,14 +74,14 @@ def fastest(trial: Trial, low: int, high: int, name: str) -> Measured:
 
 
 SPEEDS = (1.0, 3.0, 5.0, 9.0, 15.0, 20.0, 27.0, 33.0, 40.0)
-"""Of the table of eigenvalues [m/s]."""
+"""Speeds of the table of eigenvalues [m/s]."""
 
 
 def eigenvalues(car: str, delay: float, name: str) -> Measured:
-    """Give spectral radius and margin of unknown delay: at each speed, and the worst."""
+    """Return spectral radius and margin of unknown delay at each speed, and the worst of each."""
     vehicle = load_vehicle(find("vehicles", car))
     steering = replace(vehicle.steering, delay=delay)
-    steers = controller(name, car, vehicle.chassis, steering)
+    steers = shipped_controller(name, car, vehicle.chassis, steering)
     assert isinstance(steers, PreviewMpc)
     loop = (steers, vehicle.chassis, steering)
     radius = {f"radius at {v:g} m/s": spectral_radius(*loop, v) for v in SPEEDS}
@@ -89,22 +89,22 @@ def eigenvalues(car: str, delay: float, name: str) -> Measured:
     return {"radius": max(radius.values()), "margin": min(margin.values()), **radius, **margin}
 
 
-def driven(
+def worst_case(
     group: str,
     name: str,
     trials: Trial | Sequence[Trial],
-    bars: dict[str, float],
+    thresholds: dict[str, float],
     controllers: tuple[str, ...] = BOTH,
 ) -> Case:
-    """Make the case whose rows are the worst of some trials."""
+    """Build a case whose rows are the worst values of some trials."""
     several = (trials,) if isinstance(trials, Trial) else tuple(trials)
-    rows = tuple(Bar(quantity, limit) for quantity, limit in bars.items())
-    return Case(group, name, partial(worst, several, tuple(bars)), rows, controllers)
+    rows = tuple(Threshold(quantity, limit) for quantity, limit in thresholds.items())
+    return Case(group, name, partial(worst, several, tuple(thresholds)), rows, controllers)
 
 
 def scenarios() -> list[Case]:
-    """The paper's scenarios."""
-    bars = {
+    """Return the scenarios of the paper."""
+    thresholds = {
         "sc1": (1e-4, 1.5),
         "sc2": (1e-3, 1.5),
         "sc3_constant": (1e-2, 2.5),
@@ -112,22 +112,22 @@ def scenarios() -> list[Case]:
         "sc3_wind": (1e-3, 1.5),
     }
     return [
-        driven("scenarios", name, Trial(name), {"mse": mse, "activity": activity})
-        for name, (mse, activity) in bars.items()
+        worst_case("scenarios", name, Trial(name), {"mse": mse, "activity": activity})
+        for name, (mse, activity) in thresholds.items()
     ]
 
 
 def straight() -> list[Case]:
-    """A straight road, joined from its side."""
+    """Return the cases of joining a straight road from the side."""
     grid = product((0.3, 0.5, 0.7, 0.9), (9.0, 15.0, 21.0, 27.0), (0.5, 1.0, 2.0, 3.0, 5.0))
     trials = [Trial("straight", speed=v, offset=d, friction=mu) for mu, v, d in grid]
-    bars = {"diverged": 0.0, "last_5_s": 0.01, "max": math.inf}
-    return [driven("straight", "0.5-5 m, 9-27 m/s, friction 0.3-0.9 (80)", trials, bars)]
+    thresholds = {"diverged": 0.0, "last_5_s": 0.01, "max": math.inf}
+    return [worst_case("straight", "0.5-5 m, 9-27 m/s, friction 0.3-0.9 (80)", trials, thresholds)]
 
 
 def actuator() -> list[Case]:
-    """Delay and lag of the steering."""
-    case = partial(driven, "actuator")
+    """Return the cases of steering delay and lag."""
+    case = partial(worst_case, "actuator")
     return [
         case("sc1, 100 ms delay, configured", Trial(known_delay=0.1), {"mse": 1e-3}),
         case("sc1, 200 ms lag, configured", Trial(known_lag=0.2), {"mse": 2e-3}),
@@ -136,16 +136,19 @@ def actuator() -> list[Case]:
 
 
 def noise() -> list[Case]:
-    """Measurement noise x1."""
+    """Return the cases with measurement noise `x1`."""
     still = Trial("straight", speed=0.0, seed=1)
     return [
-        driven("noise", "sc1, noise", Trial(seed=1), {"mse": 5e-3, "activity": 3.0}),
-        driven("noise", "standstill, noise", still, {"swing": 0.5}),
+        worst_case("noise", "sc1, noise", Trial(seed=1), {"mse": 5e-3, "activity": 3.0}),
+        worst_case("noise", "standstill, noise", still, {"swing": 0.5}),
     ]
 
 
-def wrong_beliefs() -> list[Case]:
-    """A car that is not the one which the controller knows; friction 0.5 within 85 % of it."""
+def model_errors() -> list[Case]:
+    """Return the cases of a car that differs from the internal model.
+
+    Friction is reduced to 0.5 only on roads that need at most 85 % of it.
+    """
     axles = ("front_cornering_stiffness", "rear_cornering_stiffness")
     wrong = {
         "mass +20 %": Trial(factors=(("mass", 1.2),)),
@@ -162,14 +165,14 @@ def wrong_beliefs() -> list[Case]:
     slippery = [
         (f"{path}, friction 0.5", Trial(path, friction=0.5)) for path in ("sc1", "sc1_falcone")
     ]
-    return [driven("wrong belief", name, t, {"max": 0.5}) for name, t in pairs + slippery]
+    return [worst_case("model error", name, t, {"max": 0.5}) for name, t in pairs + slippery]
 
 
 def recorded_roads() -> list[Case]:
-    """Circuits, the authors' trajectories and a motorway, where the data are there."""
+    """Return circuits, the trajectories of the authors and a motorway, if the data exist."""
     files = sorted(DATA.glob("*/*.csv"))
     return [
-        driven(
+        worst_case(
             "roads",
             f"{file.stem}, {car} car",
             Trial(str(file.relative_to(DATA)), car),
@@ -180,23 +183,23 @@ def recorded_roads() -> list[Case]:
 
 
 def iso3888() -> list[Case]:
-    """Lane changes between cones, ordinary car."""
+    """Return the lane changes between cones, ordinary car."""
     tracks = {"iso3888_1": ("80 km/h", 60, 140), "iso3888_2": ("45 km/h", 40, 90)}
     rows = []
     for track, (speed, low, high) in tracks.items():
         trial = Trial(track, "ordinary")
         search = partial(fastest, trial, low, high)
         rows += [
-            driven("iso3888", f"{track}, {speed}", trial, {"overlap": 0.0}),
-            Case("iso3888", track, search, (Bar("fastest"),)),
+            worst_case("iso3888", f"{track}, {speed}", trial, {"overlap": 0.0}),
+            Case("iso3888", track, search, (Threshold("fastest"),)),
         ]
     return rows
 
 
 def independent_plant() -> list[Case]:
-    """A plant that nobody here wrote, on sc1_falcone; and joining a road from 3 m."""
+    """Return the cases of the independent plant on sc1_falcone."""
     nominal = Trial("sc1_falcone", "independent")
-    bars = {
+    thresholds = {
         "9 m/s": (nominal._replace(speed=9.0), 0.08),
         "11 m/s": (nominal._replace(speed=11.0), 0.08),
         "15 m/s": (nominal._replace(speed=15.0), 0.15),
@@ -207,15 +210,20 @@ def independent_plant() -> list[Case]:
     calm = nominal._replace(speed=11.0)
     gust = partial(added, calm._replace(gust=(1500.0, 400.0)), calm)
     return [
-        *(driven("independent plant", k, t, {"max": limit}) for k, (t, limit) in bars.items()),
-        Case("independent plant", "11 m/s, gust", gust, (Bar("added", 0.08), Bar("max"))),
+        *(
+            worst_case("independent plant", k, t, {"max": limit})
+            for k, (t, limit) in thresholds.items()
+        ),
+        Case(
+            "independent plant", "11 m/s, gust", gust, (Threshold("added", 0.08), Threshold("max"))
+        ),
     ]
 
 
 def joining() -> list[Case]:
-    """The same gains join a straight road from 3 m, on three plants."""
+    """Return the cases of joining a straight road from 3 m with unchanged gains on three plants."""
     return [
-        driven(
+        worst_case(
             "joining",
             f"{car} car, 3 m at {v:g} m/s",
             Trial("straight", car, speed=v, offset=3.0),
@@ -226,14 +234,14 @@ def joining() -> list[Case]:
 
 
 def stability() -> list[Case]:
-    """Eigenvalues of car and controller from 1 to 40 m/s, the worst of them."""
-    bars = (Bar("radius", 0.97), Bar("margin", 0.08, at_least=True))
+    """Return the cases of the closed-loop eigenvalues from 1 to 40 m/s, the worst of each car."""
+    thresholds = (Threshold("radius", 0.97), Threshold("margin", 0.08, at_least=True))
     return [
         Case(
             "eigenvalues",
             f"{car} car, delay {delay:g} s",
             partial(eigenvalues, car, delay),
-            bars,
+            thresholds,
             PREVIEW,
         )
         for car, delay in product(("paper", "ordinary"), (0.0, 0.1, 0.2))
@@ -241,7 +249,7 @@ def stability() -> list[Case]:
 
 
 def all_cases() -> list[Case]:
-    """The whole table, in order."""
-    parts = (scenarios, straight, actuator, noise, wrong_beliefs, recorded_roads, iso3888,
+    """Return all cases in the order of the table."""
+    parts = (scenarios, straight, actuator, noise, model_errors, recorded_roads, iso3888,
              independent_plant, joining, stability)  # fmt: skip
     return [case for part in parts for case in part()]

@@ -1,8 +1,7 @@
-"""How near the shipped controller comes to the guard's limits, and how often it is clipped.
+"""Measure how close the commands come to the limits of the guard, and how often it clips.
 
-`python tests/workshop/acceptance/guard_margins.py`, or `ros2 run launch_scripts guard_margins`;
-`--guard my_limits.yaml` for one's own. Ordinary driving must not be clipped by `road`, nothing by
-`track`.
+`python -m tests.workshop.acceptance.guard_margins`; `--guard my_limits.yaml` for other limits.
+Ordinary driving must not be clipped by `road`, and no drive by `track`.
 """
 
 import argparse
@@ -28,23 +27,23 @@ ORDINARY_DRIVES = ("sc1", "sc1_falcone", "iso3888_1", "iso3888_2", "circle", "si
 DRIVES_AT_THE_LIMIT = ("sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind")
 HEADINGS = ("drive", "car", "angle", "acceleration", "rate", "jerk", "clipped", "by")
 WIDTH = 120
-"""Of the printed table, at least [characters]."""
+"""Minimum width of the printed table [characters]."""
 
 
 class Margin(NamedTuple):
-    """One drive, held against the limits."""
+    """Commands of one drive relative to the limits."""
 
     shares: tuple[float, ...]
-    """Largest angle, lateral acceleration, rate and lateral jerk, each as a share of its limit."""
+    """Largest angle, lateral acceleration, rate and lateral jerk, as shares of their limits."""
     clipped: int
-    """Commands that the guard would clip, each if the one before had not been."""
+    """Number of commands that the guard clips, each with an unclipped predecessor."""
     commands: int
     limits: dict[str, int]
-    """How often each limit clipped."""
+    """Number of clipped commands by limit."""
 
 
 def margin(driven: SimulatedDrive, limits: GuardLimits) -> Margin:
-    """Hold the commands of a drive against the limits."""
+    """Compare the commands of a drive with the limits."""
     steering, states = driven.drive.steering.tolist(), driven.drive.states
     period = float(np.diff(ticks(driven.drive)).mean())
     guard = Guard(limits, driven.vehicle.chassis, period)
@@ -61,19 +60,19 @@ def margin(driven: SimulatedDrive, limits: GuardLimits) -> Margin:
 
 
 def names() -> tuple[str, ...]:
-    """Give the shipped scenarios, and the recorded roads where they are."""
+    """Return the shipped scenarios, and the recorded roads if they exist."""
     roads = (str(file.relative_to(DATA)) for file in sorted(DATA.glob("*/*.csv")))
     return (*ORDINARY_DRIVES, *roads, *DRIVES_AT_THE_LIMIT)
 
 
-def cells(trial: Trial, found: Margin) -> tuple[str, ...]:
-    """Give a line of the table."""
-    by = ", ".join(f"{name} {n}" for name, n in found.limits.items() if n)
-    clipped = f"{found.clipped} of {found.commands}"
+def cells(trial: Trial, result: Margin) -> tuple[str, ...]:
+    """Return a row of the table."""
+    by = ", ".join(f"{name} {n}" for name, n in result.limits.items() if n)
+    clipped = f"{result.clipped} of {result.commands}"
     return (
         File(trial.scenario).stem,
         trial.car,
-        *(f"{share:.2f}" for share in found.shares),
+        *(f"{share:.2f}" for share in result.shares),
         clipped,
         by,
     )
@@ -89,7 +88,7 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive all, print the table."""
+    """Drive all scenarios, print the table, and return the exit code."""
     chosen, console = options(arguments), Console(highlight=False)
     try:
         limits = load(GuardLimits, find("guards", chosen.guard))

@@ -1,8 +1,8 @@
-"""A plant that nobody here wrote: the single-track drift model of `commonroad-vehicle-models`.
+"""Independent plant: the single-track drift model of `commonroad-vehicle-models`.
 
 Althoff and Wuersching, "CommonRoad: Vehicle Models", 2020: full Magic Formula with combined slip,
-wheel dynamics, steering-rate limit. A development dependency; nothing of ours stands in it but the
-steering servo, the speed control and the force of a gust.
+wheel dynamics, steering-rate limit. A development dependency. This file adds only the steering
+servo, the speed control and the force of a gust.
 """
 
 import math
@@ -17,45 +17,45 @@ from ampc_msgs_config.scenarios.scenario import Scenario, speed_at
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 
 STEP = 0.001
-"""Of the Runge-Kutta integration: the wheels are stiff [s]."""
+"""Step of the Runge-Kutta integration, small because the wheel dynamics are stiff [s]."""
 SERVO_LAG = 0.1
 """Time constant of the steering servo [s]."""
 SPEED_GAIN = 2.0
-"""Of the speed control [1/s]."""
+"""Gain of the speed control [1/s]."""
 GRAVITY = 9.81
 """[m/s^2]"""
 
 
 class Disturbance(NamedTuple):
-    """What the plant does not tell the controller."""
+    """Disturbances that the controller does not know."""
 
     delay: float = 0.0
-    """Of the steering command [s]."""
+    """Delay of the steering command [s]."""
     friction: float = 1.0
-    """Factor on the tyre's own friction."""
+    """Factor on the friction of the tyres."""
     gust: tuple[float, float] = (0.0, 0.0)
     """Side force [N] and yaw moment [N m] of a gust from 4 s to 6 s, 1-cos."""
 
 
 def parameters(vehicle: int, friction: float = 1.0) -> Any:
-    """Give the parameters of a CommonRoad vehicle, with the friction of its tyres scaled."""
+    """Return the parameters of a CommonRoad vehicle with scaled tyre friction."""
     from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-    p = _plain(setup_vehicle_parameters(vehicle_id=vehicle))
+    p = _namespace(setup_vehicle_parameters(vehicle_id=vehicle))
     p.tire.p_dx1 *= friction
     p.tire.p_dy1 *= friction
     return p
 
 
-def _plain(node: Any) -> Any:
-    """Turn a tree of configuration into plain attributes, which are much faster to read."""
+def _namespace(node: Any) -> Any:
+    """Convert a tree of configuration into namespaces, which are much faster to read."""
     if not hasattr(node, "items"):
         return node
-    return SimpleNamespace(**{key: _plain(value) for key, value in node.items()})
+    return SimpleNamespace(**{key: _namespace(value) for key, value in node.items()})
 
 
-def belief(vehicle: int) -> tuple[ChassisParameters, SteeringParameters]:
-    """Give what a controller of ours is told about a CommonRoad vehicle.
+def assumed_parameters(vehicle: int) -> tuple[ChassisParameters, SteeringParameters]:
+    """Return the parameters of a CommonRoad vehicle for the controller.
 
     The cornering stiffness of an axle is -p_ky1 times its load, half of it for one tyre.
     """
@@ -74,12 +74,12 @@ def belief(vehicle: int) -> tuple[ChassisParameters, SteeringParameters]:
 
 
 class IndependentSimulation:
-    """The plant on its way through a scenario; stands in for `closed_loop.Simulation`."""
+    """Simulation of the plant in a scenario, with the interface of `closed_loop.Simulation`."""
 
     def __init__(
         self, scenario: Scenario, vehicle: int = 2, disturbance: Disturbance | None = None
     ) -> None:
-        """Place the car at the scenario's start, at the speed that it asks for there."""
+        """Place the car at the start of the scenario, at its target speed."""
         from vehiclemodels.init_std import init_std
 
         self.disturbance = disturbance or Disturbance()
@@ -93,11 +93,11 @@ class IndependentSimulation:
 
     @property
     def finished(self) -> bool:
-        """Whether the scenario's duration is over."""
+        """True if the duration of the scenario is over."""
         return self.elapsed_ns >= round(self.scenario.duration * NANOSECONDS)
 
     def measure(self, stamp_ns: int) -> VehicleState:
-        """Give the motion at the rear axle."""
+        """Return the motion at the rear axle."""
         x, y, _, v, yaw, r, beta = (float(value) for value in self.state[:7])
         centre = VehicleState(
             stamp_ns, x, y, wrap_angle(yaw), v * math.cos(beta), v * math.sin(beta), r
@@ -105,13 +105,13 @@ class IndependentSimulation:
         return at_distance(centre, -self.p.b)
 
     def advance(self, steering: float, target_speed: float, period_ns: int) -> None:
-        """Drive on under a steering angle [rad] towards a speed [m/s]."""
+        """Integrate over a period [ns] with a steering angle [rad] and a target speed [m/s]."""
         for _ in range(round(period_ns / NANOSECONDS / STEP)):
             self.waiting.append(steering)
             self._step(self.waiting.pop(0), target_speed)
 
     def _step(self, angle: float, target_speed: float) -> None:
-        """One Runge-Kutta step."""
+        """Integrate one Runge-Kutta step."""
         time = self.elapsed_ns / NANOSECONDS
         k1 = self._rate(self.state, angle, target_speed, time)
         k2 = self._rate(self.state + STEP / 2 * k1, angle, target_speed, time)
@@ -124,7 +124,7 @@ class IndependentSimulation:
         from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 
         x = [float(value) for value in state]
-        servo = (angle - x[2]) / SERVO_LAG  # the model itself limits the rate
+        servo = (angle - x[2]) / SERVO_LAG  # the model limits the rate
         drive = SPEED_GAIN * (target_speed - x[3])
         rate = np.array(vehicle_dynamics_std(x, [servo, drive], self.p))
         z = min(max((time - 4.0) / 2.0, 0.0), 1.0)

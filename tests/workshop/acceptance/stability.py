@@ -1,7 +1,7 @@
 """Closed-loop eigenvalues of the preview controller: spectral radius over speed and delay.
 
-Car and controller together are one map from tick to tick; near the straight path it is linear, and
-its Jacobian is taken by differences of the very `step()` that drives.
+Car and controller form one map from tick to tick, which is linear near a straight path. Its
+Jacobian is computed by differences of the `step()` of the controller.
 """
 
 import copy
@@ -22,19 +22,19 @@ from ampc_ros.preview.model import SampledModel, sample_model
 from ampc_ros.preview.tick import BEFORE, EXPECTS, LAST_SPEED
 
 SIZE = 1e-6
-"""Of the differences: small enough that no bound is active."""
+"""Size of the differences, small enough that no bound is active."""
 PATH = make_path([(0.0, 0.0), (400.0, 0.0)])
 
 
 def spectral_radius(
     controller: PreviewMpc, chassis: ChassisParameters, steering: SteeringParameters, v_x: float
 ) -> float:
-    """Largest magnitude of the eigenvalues of car and controller at a speed.
+    """Return the largest magnitude of the eigenvalues of car and controller at a speed.
 
     Args:
-        controller: What steers, with its own belief.
-        chassis: Of the car.
-        steering: Of the car; its delay and lag may differ from the controller's belief.
+        controller: Controller with its internal model.
+        chassis: Chassis of the car.
+        steering: Steering of the car; delay and lag may differ from the internal model.
         v_x: Speed [m/s].
     """
     T = controller.period
@@ -46,7 +46,7 @@ def spectral_radius(
 
     def tick(z: Array) -> Array:
         x, sent, memory = np.split(z, [STATES, STATES + queue])
-        steered = recalled(controller, memory, v_x)
+        steered = with_memory(controller, memory, v_x)
         state = VehicleState(NANOSECONDS, 100.0, x[3], x[1], v_x, x[0], x[2])
         u = steered.step(at_distance(state, -steered.model.to_cg), PATH).steering
         inputs = np.append(sent, u)
@@ -59,13 +59,13 @@ def spectral_radius(
     return float(np.abs(np.linalg.eigvals(J)).max())
 
 
-def recalled(controller: PreviewMpc, memory: Array, v_x: float) -> PreviewMpc:
-    """Give a controller in the middle of a drive.
+def with_memory(controller: PreviewMpc, memory: Array, v_x: float) -> PreviewMpc:
+    """Return a copy of a controller in the middle of a drive.
 
     Args:
-        controller: It is left as it is.
-        memory: What it carries from tick to tick: numbers BEFORE and on.
-        v_x: Speed, now as at the last tick [m/s].
+        controller: Controller; it is not changed.
+        memory: Its state from index BEFORE on.
+        v_x: Speed at this and the last tick [m/s].
     """
     steered = copy.copy(controller)
     steered.memory, steered.path = controller.memory.copy(), None
@@ -78,7 +78,7 @@ def recalled(controller: PreviewMpc, memory: Array, v_x: float) -> PreviewMpc:
 def delay_margin(
     controller: PreviewMpc, chassis: ChassisParameters, steering: SteeringParameters, v_x: float
 ) -> float:
-    """Delay beyond the configured one at which the loop is just stable, up to 0.3 s [s]."""
+    """Return the unknown delay at the stability limit, at most 0.3 s [s]."""
     low, high = 0.0, 0.3
     while high - low > 0.0005:
         middle = (low + high) / 2

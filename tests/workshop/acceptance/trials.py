@@ -1,4 +1,4 @@
-"""One trial: a car, a controller and what the controller does not know; and what is measured."""
+"""Trials: one drive of a car and a controller with unknown disturbances, and its metrics."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -24,52 +24,56 @@ from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
-from tests.workshop.acceptance.independent_plant import Disturbance, IndependentSimulation, belief
+from tests.workshop.acceptance.independent_plant import (
+    Disturbance,
+    IndependentSimulation,
+    assumed_parameters,
+)
 
 DATA = File(__file__).resolve().parents[4] / "shared" / "data"
-"""Recorded roads; they are no part of this repository."""
+"""Recorded roads; not part of this repository."""
 LIMITS = SpeedLimits(lateral_acceleration=4.0, longitudinal_acceleration=2.0, speed=30.0)
-"""On recorded roads."""
+"""Speed limits on recorded roads."""
 LAPS = 2
 INDEPENDENT = 2
-"""CommonRoad's number of the independent plant: a BMW 320i."""
+"""CommonRoad number of the independent plant, a BMW 320i."""
 FINE = 20
-"""Outlines looked at per tick."""
+"""Number of outlines of the car per tick, and of points along its sides."""
 
 
 class Trial(NamedTuple):
-    """One drive as data. What stands from `factors` on, the controller does not know."""
+    """One drive. The fields from `factors` on are unknown to the controller."""
 
     scenario: str = "sc1"
-    """Shipped name, or a CSV file in `DATA`."""
+    """Name of a shipped scenario, or CSV file in `DATA`."""
     car: str = "paper"
-    """Shipped name, or `independent`."""
+    """Name of a shipped vehicle, or `independent`."""
     speed: float | None = None
-    """Instead of the scenario's [m/s]."""
+    """Speed that replaces that of the scenario [m/s]."""
     offset: float = 0.0
-    """Of the start to the left of the path [m]."""
+    """Initial offset to the left of the path [m]."""
     known_delay: float = 0.0
-    """Of the steering [s]."""
+    """Steering delay that the controller knows [s]."""
     known_lag: float = 0.0
-    """Of the steering [s]."""
+    """Steering lag that the controller knows [s]."""
     factors: tuple[tuple[str, float], ...] = ()
-    """On chassis parameters of the real car, by name."""
+    """Factors on chassis parameters of the actual car, by name."""
     delay: float = 0.0
-    """Of the steering, beyond the known one [s]."""
+    """Steering delay in addition to the known one [s]."""
     friction: float | None = None
-    """Of the road; on the independent plant a factor on that of its tyres."""
+    """Friction of the road; on the independent plant a factor on the friction of its tyres."""
     seed: int | None = None
-    """Of the measurement noise x1."""
+    """Seed of the measurement noise `x1`; None: no noise."""
     misaligned_deg: float = 0.0
-    """Angle at which the wheels stand when straight ahead is commanded."""
+    """Angle of the wheels when straight ahead is commanded."""
     gust: tuple[float, float] = (0.0, 0.0)
-    """Independent plant: side force [N] and yaw moment [N m]."""
+    """Side force [N] and yaw moment [N m] on the independent plant."""
 
 
-def controller(
+def shipped_controller(
     name: str, car: str, chassis: ChassisParameters, steering: SteeringParameters
 ) -> PreviewMpc | LateralMpc:
-    """Make `preview` or `paper` with the gains shipped for a car, as it is believed to be."""
+    """Build the controller `preview` or `paper` with the gains shipped for a car."""
     settings = load(ControllerSettings, find("controllers", "table3"))
     table = load_gain_table(default_table(name, car))
     if name == "preview":
@@ -83,17 +87,17 @@ def run(trial: Trial, name: str) -> SimulatedDrive:
 
 
 def run_all(trials: Sequence[Trial], name: str) -> list[SimulatedDrive]:
-    """Drive trials with a controller: as one fleet, or one by one on the independent plant.
+    """Drive trials with a controller, as one fleet or sequentially on the independent plant.
 
     Raises:
         ValueError: The controller cannot take a path.
     """
-    vehicles = [believed_vehicle(trial) for trial in trials]
+    vehicles = [assumed_vehicle(trial) for trial in trials]
     scenarios = [scenario_of(*pair) for pair in zip(trials, vehicles, strict=True)]
     entries = [
         Entry(
             plant(trial, vehicle, scenario),
-            controller(name, trial.car, vehicle.chassis, vehicle.steering),
+            shipped_controller(name, trial.car, vehicle.chassis, vehicle.steering),
             math.radians(trial.misaligned_deg),
         )
         for trial, vehicle, scenario in zip(trials, vehicles, scenarios, strict=True)
@@ -102,29 +106,29 @@ def run_all(trials: Sequence[Trial], name: str) -> list[SimulatedDrive]:
         drives = [drive(entry.simulation, entry.controller) for entry in entries]
     else:
         drives = drive_fleet(entries)
-    return [judged(*each) for each in zip(drives, scenarios, vehicles, strict=True)]
+    return [with_errors(*each) for each in zip(drives, scenarios, vehicles, strict=True)]
 
 
-def judged(finished: Drive, scenario: Scenario, vehicle: Vehicle) -> SimulatedDrive:
-    """Give a drive with its errors."""
+def with_errors(finished: Drive, scenario: Scenario, vehicle: Vehicle) -> SimulatedDrive:
+    """Return a drive with its cross-track errors."""
     path = scenario.path
     error = errors(finished, path, vehicle.chassis.cg_to_rear_axle)[:, 0]
     return SimulatedDrive(finished, path, scenario, vehicle, error)
 
 
-def believed_vehicle(trial: Trial) -> Vehicle:
-    """Give the car that the controller knows."""
+def assumed_vehicle(trial: Trial) -> Vehicle:
+    """Return the vehicle that the controller assumes."""
     independent = trial.car == "independent"
     vehicle = load_vehicle(find("vehicles", "ordinary" if independent else trial.car))
     if independent:
-        chassis, steering = belief(INDEPENDENT)
+        chassis, steering = assumed_parameters(INDEPENDENT)
         return vehicle._replace(chassis=chassis, steering=steering)
     known = replace(vehicle.steering, delay=trial.known_delay, lag=trial.known_lag)
     return vehicle._replace(steering=known)
 
 
 def scenario_of(trial: Trial, vehicle: Vehicle) -> Scenario:
-    """Give what is to be driven."""
+    """Return the scenario of a trial."""
     if trial.scenario.endswith(".csv"):
         return from_csv(DATA / trial.scenario, trial.speed, LIMITS, LAPS)
     scenario = load_scenario(trial.scenario, vehicle.size, trial.speed)
@@ -132,7 +136,7 @@ def scenario_of(trial: Trial, vehicle: Vehicle) -> Scenario:
 
 
 def plant(trial: Trial, vehicle: Vehicle, scenario: Scenario) -> Simulation:
-    """Give the real car at the start of the drive."""
+    """Return the simulation of the actual car at the start of the drive."""
     if trial.car == "independent":
         disturbance = Disturbance(trial.delay, trial.friction or 1.0, trial.gust)
         return cast(Simulation, IndependentSimulation(scenario, INDEPENDENT, disturbance))
@@ -147,14 +151,14 @@ def plant(trial: Trial, vehicle: Vehicle, scenario: Scenario) -> Simulation:
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def overlap(driven: SimulatedDrive) -> float:
-    """Farthest that a side of the car reaches over a row of cones; negative: the room left [m].
+    """Return the largest overlap of the car with a row of cones; negative is clearance [m].
 
-    The poses between the ticks follow cubic splines; the cones stand along the lanes without gaps.
+    Cubic splines interpolate the poses between the ticks; the rows of cones have no gaps.
     """
     chassis, size = driven.vehicle.chassis, driven.vehicle.size
     states = [at_distance(s, chassis.cg_to_rear_axle) for s in driven.drive.states]
@@ -177,11 +181,11 @@ def overlap(driven: SimulatedDrive) -> float:
 
 
 class Quantity(NamedTuple):
-    """Something to measure in a drive."""
+    """Metric of a drive."""
 
     label: str
     measure: Callable[[SimulatedDrive], float] | None = None
-    """None: it takes more than one drive."""
+    """None: the metric needs more than one drive."""
 
 
 QUANTITIES = {

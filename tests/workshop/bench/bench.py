@@ -1,6 +1,6 @@
-"""Measure solver, tick, swarm and node against what users would take instead, in one run.
+"""Benchmark solver, tick, swarm and node against the tools that users would take instead.
 
-`make bench`, or `python tests/workshop/bench/bench.py`; `--only solvers growth` for a part.
+`make bench`, or `python -m tests.workshop.bench.bench`; `--only solvers growth` selects parts.
 """
 
 import argparse
@@ -13,62 +13,64 @@ from typing import Any
 from rich.console import Console
 
 PARTS = {
-    "solvers": "tests.workshop.bench.bench_solvers",
-    "growth": "tests.workshop.bench.bench_growth",
-    "swarm": "tests.workshop.bench.bench_swarm",
-    "scaling": "tests.workshop.bench.bench_scaling",
-    "start": "tests.workshop.bench.bench_start",
-    "node": "tests.workshop.bench.bench_node_table",
+    "solvers": ("bench_solvers", "measure"),
+    "growth": ("bench_growth", "measure"),
+    "swarm": ("bench_swarm", "measure"),
+    "scaling": ("bench_swarm", "measure_scaling"),
+    "start": ("bench_node", "measure_start"),
+    "node": ("bench_node", "measure"),
 }
-"""Modules whose `measure(quick=...)` gives the tables of a part."""
+"""Module and function that returns the tables of a part."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""What NumPy's and the solvers' linear algebra read when they are loaded."""
+"""Environment variables that linear algebra libraries read when they are loaded."""
 WIDTH = 160
-"""Of the printed tables, at least [characters]."""
+"""Minimum width of the printed tables [characters]."""
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--output", type=Path, default=Path("runs/bench"), help="folder to write")
+    parser.add_argument("--output", type=Path, default=Path("runs/bench"), help="folder")
     parser.add_argument("--only", nargs="+", default=list(PARTS), choices=PARTS, help="parts")
-    parser.add_argument("--quick", action="store_true", help="a smoke test: numbers mean nothing")
-    parser.add_argument("--readme", type=Path, help="Markdown file that takes the table of bars")
-    parser.add_argument("--read", type=Path, nargs="+", help="bench.json of earlier runs: no new")
+    parser.add_argument("--quick", action="store_true", help="smoke test: meaningless numbers")
+    parser.add_argument("--readme", type=Path, help="Markdown file that receives the thresholds")
+    parser.add_argument("--read", type=Path, nargs="+", help="bench.json of earlier runs")
     return parser.parse_args(arguments)
 
 
+def load(module: str) -> Any:
+    """Import a module of the benchmark, after the environment variables are set."""
+    return importlib.import_module(f"tests.workshop.bench.{module}")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, judge, show, write."""
-    chosen, console = options(arguments), Console(highlight=False)
+    """Measure or read the tables, print and write them, and return the exit code."""
+    chosen, console = read_options(arguments), Console(highlight=False)
     console.width = max(console.width, WIDTH)
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    report = importlib.import_module("tests.workshop.bench.bench_report")
-    machine, sections = report.read(chosen.read) if chosen.read else measured(chosen, console)
-    bars = importlib.import_module("tests.workshop.bench.bench_bars").bars(sections)
-    for section in bars:
+    report, figure = load("bench_report"), load("bench_figure")
+    if chosen.read:
+        machine, sections = report.read(chosen.read)
+    else:
+        machine = importlib.import_module("launch_scripts.run.machine").describe_machine()
+        sections = []
+        for part in chosen.only:
+            console.print(f"measuring: {part} ...")
+            module, function = PARTS[part]
+            tables = getattr(load(module), function)(quick=chosen.quick)
+            for section in tables:
+                report.show(section, console)
+            sections += tables
+    thresholds = load("bench_thresholds").threshold_table(sections)
+    for section in thresholds:
         report.show(section, console)
         if chosen.readme:
             report.put_into(chosen.readme, machine, section)
-    report.write(chosen.output, machine, bars + sections)
-    figure = importlib.import_module("tests.workshop.bench.bench_figure")
+    report.write(chosen.output, machine, thresholds + sections)
     if set(figure.DRAWN) <= {section.key for section in sections}:
         figure.draw(sections, chosen.output / "bench.png")
     console.print(f"written to {chosen.output}")
     return 0
-
-
-def measured(chosen: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Any]]:
-    """Measure the parts asked for, show each; gives the machine and the tables."""
-    report = importlib.import_module("tests.workshop.bench.bench_report")
-    machine, sections = importlib.import_module("launch_scripts.run.machine").describe_machine(), []
-    for part in chosen.only:
-        console.print(f"measuring: {part} ...")
-        found = importlib.import_module(PARTS[part]).measure(quick=chosen.quick)
-        for section in found:
-            report.show(section, console)
-        sections += found
-    return machine, sections
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The car of `bench_node.py`: drives in real time at a given rate, and notes when answers come."""
+"""Node `bench_car`: drives in real time at a given rate and measures the answers."""
 
 import json
 import os
@@ -23,23 +23,25 @@ from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import load_vehicle
 
 SETTLING = 2.0
-"""Drive before the measurement begins [s]."""
+"""Duration of the drive before the measurement [s]."""
 SPEED = 9.0
-"""[m/s]"""
+"""Target speed [m/s]."""
 SERIES = {"tick": "solve_time", "lateness": "timer_lateness"}
-"""What is measured, and the debug topic of the controller that says it."""
+"""Measured series, and the debug topic of the controller that provides it."""
 
 
 class BenchCarNode(BaseNode):
-    """Publishes its state at the rate; ends the process when it has measured long enough."""
+    """Publishes its state at the rate; ends the process after the measurement."""
 
     def __init__(self) -> None:
-        """Compile the car, then drive."""
+        """Compile the car, then start to drive."""
         super().__init__("bench_car")
-        self.rate = declare(self, "rate", 100, "of the states [Hz]", (1, 200))
-        self.seconds = declare(self, "seconds", 10.0, "of the measurement [s]", (0.1, 3600))
-        self.pid = declare(self, "pid", 0, "process of the controller", (0, 2**31 - 1))
-        self.result = Path(declare(self, "result", "row.json", "file to write"))
+        self.rate = declare(self, "rate", 100, "rate of the states [Hz]", (1, 200))
+        self.seconds = declare(
+            self, "seconds", 10.0, "duration of the measurement [s]", (0.1, 3600)
+        )
+        self.pid = declare(self, "pid", 0, "process number of the controller", (0, 2**31 - 1))
+        self.result = Path(declare(self, "result", "row.json", "result file"))
         vehicle = load_vehicle(find("vehicles", "paper"))
         self.simulation = Simulation(vehicle, load_scenario("circle", vehicle.size))
         self.simulation.advance(0.0, SPEED, NANOSECONDS // self.rate)
@@ -57,12 +59,12 @@ class BenchCarNode(BaseNode):
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.RELIABLE)
         self.create_subscription(DiagnosticArray, ros.DIAGNOSTICS, self.on_report, ros.RELIABLE)
         for name, quantity in SERIES.items():
-            topic, note = f"controller/debug/{quantity}", self.series[name].append
-            self.create_subscription(Float64, topic, partial(noted, note), ros.RELIABLE)
+            topic, append = f"controller/debug/{quantity}", self.series[name].append
+            self.create_subscription(Float64, topic, partial(append_value, append), ros.RELIABLE)
         self.create_timer(1.0 / self.rate, self.on_timer)
 
     def on_timer(self) -> None:
-        """Drive one period under the newest command, once there is one; publish the state."""
+        """Drive one period with the newest command, if any, and publish the state."""
         if self.angle is not None:
             self.simulation.advance(self.angle, SPEED, NANOSECONDS // self.rate)
         stamp_ns, car = self.now_ns, self.simulation.car
@@ -71,14 +73,14 @@ class BenchCarNode(BaseNode):
         self.odom.publish(ros.odometry_message(car.measure(stamp_ns)))
 
     def on_command(self, message: JointState) -> None:
-        """Steer, and note how long the answer took."""
+        """Apply a command and append its latency."""
         command, now_ns = ros.steering_angle(message), self.now_ns
         self.angle = command.value
         sent_ns = self.sent.pop(command.stamp_ns, now_ns)
         self.series["latency"].append((now_ns - sent_ns) / NANOSECONDS)
 
     def on_report(self, message: DiagnosticArray) -> None:
-        """Begin and end the measurement with a report of the controller, which counts."""
+        """Start and end the measurement at diagnostics of the controller, which hold counts."""
         values = {pair.key: pair.value for pair in message.status[0].values}
         if "missed_ticks" not in values:
             return
@@ -96,8 +98,8 @@ class BenchCarNode(BaseNode):
             raise SystemExit(0)
 
     def write(self, missed: int, elapsed: float) -> None:
-        """Write what was measured within `elapsed` [s]."""
-        before_ns = self.now_ns - 3 * NANOSECONDS // self.rate  # younger ones may still come
+        """Write the results of a measurement of `elapsed` [s]."""
+        before_ns = self.now_ns - 3 * NANOSECONDS // self.rate  # later ones may still be answered
         spreads = {name: spread(series) for name, series in self.series.items()}
         counts = {
             "ticks": len(self.series["latency"]),
@@ -108,18 +110,18 @@ class BenchCarNode(BaseNode):
         self.result.write_text(json.dumps(spreads | counts), encoding="utf-8")
 
 
-def noted(note: Callable[[float], None], message: Float64) -> None:
-    """Note the number that a message holds."""
-    note(message.data)
+def append_value(append: Callable[[float], None], message: Float64) -> None:
+    """Append the number of a message."""
+    append(message.data)
 
 
 def spread(seconds: list[float]) -> list[float]:
-    """Median, 99th percentile and largest of a series [ms]."""
+    """Return median, 99th percentile and maximum of a series [ms]."""
     return [float(np.quantile(seconds, share)) * 1000.0 for share in (0.5, 0.99, 1.0)]
 
 
 def processor_time(pid: int) -> float:
-    """Give the processor time that a process has used, of all its threads [s]."""
+    """Return the processor time of all threads of a process [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,4 +1,4 @@
-"""Part (b): how tick and solver grow with horizon, Laguerre terms and rows."""
+"""Growth of tick and solver with horizon, Laguerre terms and rows."""
 
 import math
 from collections.abc import Iterable
@@ -8,14 +8,14 @@ import numpy as np
 
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.qp_assembly import StepInput
-from tests.workshop.bench.bench_ours import GAINS, Task, posed, qp_alone, whole_tick
+from tests.workshop.bench.bench_ours import GAINS, Task, qp_alone, qp_of, whole_tick
 from tests.workshop.bench.bench_problems import perturbed, recorded_ticks
 from tests.workshop.bench.bench_qp import with_daqp
 from tests.workshop.bench.bench_report import Row, Section
 from tests.workshop.bench.bench_timing import Call, Entrant, interleaved
 
 COUNT = 40
-"""Ticks that each size is measured with."""
+"""Number of ticks of each size."""
 SERIES = ("our tick [us]", "our QP [us]", "daqp.solve [us]")
 HORIZON, TERMS, ROWS = "horizon N_p", "Laguerre terms N", "rows (two-sided)"
 AXES: dict[str, dict[int, Gains]] = {
@@ -29,7 +29,7 @@ AXES: dict[str, dict[int, Gains]] = {
         for n in (15, 20, 30, 50, 70, 100)
     },
 }
-"""What varies, and the gains of each size: none that the controller refuses as ill-conditioned."""
+"""Varied quantity and the gains of each size, all well-conditioned."""
 HELD = {
     HORIZON: f"N_c = 15, at most N_p; N = {GAINS.laguerre_terms}",
     TERMS: "N_p = 45, N_c = 15, pole 0.5",
@@ -38,7 +38,7 @@ HELD = {
 
 
 def measure(*, quick: bool) -> list[Section]:
-    """Give one table for each of what varies."""
+    """Return one table for each varied quantity."""
     rng = np.random.default_rng(3)
     recorded = recorded_ticks()
     count = 4 if quick else COUNT
@@ -47,7 +47,7 @@ def measure(*, quick: bool) -> list[Section]:
 
 
 def grown(axis: str, ticks: list[StepInput], rounds: int) -> Section:
-    """Measure all sizes of an axis, in turns."""
+    """Measure all sizes of one quantity, interleaved."""
     entrants = {
         (size, series): Entrant(calls, rounds)
         for size, gains in AXES[axis].items()
@@ -66,9 +66,9 @@ def grown(axis: str, ticks: list[StepInput], rounds: int) -> Section:
 
 
 def calls_of(gains: Gains, ticks: Iterable[StepInput]) -> dict[str, list[Call]]:
-    """Give what is timed at a size."""
+    """Return the timed calls of one size."""
     tasks = [Task(gains, math.inf, tick) for tick in ticks]
-    problems = [posed(task) for task in tasks]
+    problems = [qp_of(task) for task in tasks]
     answer, (tick, qp, daqp) = whole_tick(gains), SERIES
     return {
         tick: [partial(answer, task.tick) for task in tasks],
@@ -78,7 +78,7 @@ def calls_of(gains: Gains, ticks: Iterable[StepInput]) -> dict[str, list[Call]]:
 
 
 def exponents(axis: str, rows: list[Row]) -> dict[str, float]:
-    """Fit k of time ~ size^k to each series."""
+    """Fit the exponent k of time ~ size^k to each series."""
     size = np.log([float(row[axis]) for row in rows])
     return {
         name: float(np.polyfit(size, np.log([row[name] for row in rows]), 1)[0]) for name in SERIES

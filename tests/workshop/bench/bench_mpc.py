@@ -1,9 +1,12 @@
-"""The same controller as users build it with other tools: one function from tick to first move.
+"""The same controller built with other tools: functions from tick to first move.
 
-Model, horizons, weights and bounds are ours. What does not change from tick to tick is built
-beforehand: Laguerre functions, rows of the bounds, symbolic problems.
+Model, horizons, weights and bounds are those of AMPC. Everything that does not change from tick to
+tick is prepared: Laguerre functions, rows of the bounds, symbolic problems. `multiple_shooting`
+follows the MPC examples of CasADi: the unknowns are the states of all 45 steps and 15 increments,
+and each step of the model is an equality constraint.
 """
 
+import math
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -21,11 +24,15 @@ Answer = Callable[[StepInput], float | None]
 N_P, N_C, N, _, Q, R = GAINS
 LIMITS = limits()
 SQUARINGS = 6
-"""Of the symbolic matrix exponential: enough for 1 m/s and more."""
+"""Squarings of the symbolic matrix exponential, sufficient from 1 m/s on."""
+PROXIMAL = {"daqp": {"eps_prox": 1e-4}}
+"""Most states have no weight, so DAQP needs proximal iterations. Of the powers of ten, this one is
+fast and always correct."""
+QUIET = {"osqp": {"verbose": False}}
 
 
 def augmented_model(v_x: float) -> tuple[Array, Array]:
-    """A~ (5, 5) and B~ (5,) of Eq. (9) with NumPy and SciPy."""
+    """Return A~ (5, 5) and B~ (5,) of Eq. (9), computed with NumPy and SciPy."""
     A_c, B_c, block = np.zeros((4, 4)), np.zeros(4), np.zeros((5, 5))
     lateral_dynamics(VEHICLE, v_x, A_c, B_c)
     block[:4, :4], block[:4, 4] = A_c, B_c
@@ -37,7 +44,7 @@ def augmented_model(v_x: float) -> tuple[Array, Array]:
 
 
 def numpy_daqp() -> Answer:
-    """Prediction with NumPy, then DAQP."""
+    """Build the controller from a prediction in NumPy and DAQP."""
     L = laguerre(GAINS)
     rows = np.vstack((L, np.cumsum(L, axis=0)))
     weight = 2 * R * L.T @ L
@@ -62,7 +69,7 @@ def numpy_daqp() -> Answer:
 
 
 def bounds(u: float) -> tuple[Array, Array]:
-    """Upper and lower bounds of the increments and of the angles (2 N_c,)."""
+    """Return upper and lower bounds of the increments and of the angles (2 N_c,)."""
     held = min(max(u, -LIMITS.u_max), LIMITS.u_max)
     step, turn = np.full(N_C, LIMITS.Delta_u_max), np.ones(N_C)
     high = np.concatenate((step, (LIMITS.u_max - held) * turn))
@@ -71,7 +78,7 @@ def bounds(u: float) -> tuple[Array, Array]:
 
 
 def casadi_qp(plugin: str, options: dict[str, Any]) -> Answer:
-    """Whole problem in CasADi's symbols, parameters v_x, x, u, r; `qpsol` built once."""
+    """Build the condensed problem in CasADi with parameters v_x, x, u, r; `qpsol` is built once."""
     import casadi as ca
 
     eta, p = ca.SX.sym("eta", N), ca.SX.sym("p", 8)
@@ -83,14 +90,14 @@ def casadi_qp(plugin: str, options: dict[str, Any]) -> Answer:
     for i in range(N_P):
         x = A @ x + (B * moves[i] if i < N_C else 0)
         cost += Q * (x[4] - r) ** 2
-    programme = {"x": eta, "p": p, "f": cost, "g": ca.vertcat(moves, ca.cumsum(moves))}
-    solver = ca.qpsol("S", plugin, programme, options)
+    problem = {"x": eta, "p": p, "f": cost, "g": ca.vertcat(moves, ca.cumsum(moves))}
+    solver = ca.qpsol("S", plugin, problem, options)
 
     def answer(tick: StepInput) -> float | None:
         high, low = bounds(tick.u)
-        given = np.concatenate(((tick.v_x,), tick.x, (tick.u, tick.r)))
+        values = np.concatenate(((tick.v_x,), tick.x, (tick.u, tick.r)))
         try:
-            return float(solver(p=given, lbg=low, ubg=high)["g"][0])
+            return float(solver(p=values, lbg=low, ubg=high)["g"][0])
         except RuntimeError:  # not solved
             return None
 
@@ -98,7 +105,7 @@ def casadi_qp(plugin: str, options: dict[str, Any]) -> Answer:
 
 
 def symbolic_model(v_x: Any) -> tuple[Any, Any]:
-    """A~ (5, 5) and B~ (5, 1) of Eq. (9) in CasADi's symbols."""
+    """Return A~ (5, 5) and B~ (5, 1) of Eq. (9) in CasADi symbols."""
     import casadi as ca
 
     m, I_z, l_f, l_r, C_f, C_r = VEHICLE
@@ -115,7 +122,7 @@ def symbolic_model(v_x: Any) -> tuple[Any, Any]:
 
 
 def symbolic_exponential(A: Any) -> Any:
-    """e^A of CasADi's symbols: Taylor series after scaling, then squaring."""
+    """Return e^A in CasADi symbols by a scaled Taylor series and squaring."""
     import casadi as ca
 
     result = term = ca.SX.eye(5)
@@ -128,9 +135,9 @@ def symbolic_exponential(A: Any) -> Any:
 
 
 def do_mpc_controller() -> Answer:
-    """do-mpc with IPOPT as it comes: one free increment for each of the 45 steps."""
+    """Build the controller with do-mpc and IPOPT, default settings, 45 free increments."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # on features that are not installed
+        warnings.simplefilter("ignore")  # about features that are not installed
         import do_mpc
 
         mpc = do_mpc.controller.MPC(do_mpc_model(do_mpc))
@@ -143,15 +150,15 @@ def do_mpc_controller() -> Answer:
         for side, sign in (("lower", -1), ("upper", 1)):
             mpc.bounds[side, "_u", "Delta_u"] = sign * LIMITS.Delta_u_max
             mpc.bounds[side, "_x", "u"] = sign * LIMITS.u_max
-        known = mpc.get_p_template(1)
-        mpc.set_p_fun(lambda _: known)
+        values = mpc.get_p_template(1)
+        mpc.set_p_fun(lambda _: values)
         mpc.setup()
     mpc.set_initial_guess()
-    return lambda tick: ask_do_mpc(mpc, known, tick)
+    return lambda tick: ask_do_mpc(mpc, values, tick)
 
 
 def do_mpc_model(do_mpc: Any) -> Any:
-    """Model in do-mpc's words: state x~ and angle u, input Delta u, matrices as parameters."""
+    """Build the do-mpc model: state x~ and angle u, input Delta u, matrices as parameters."""
     model = do_mpc.model.Model("discrete", "SX")
     x, u = model.set_variable("_x", "x", (5, 1)), model.set_variable("_x", "u")
     Delta_u = model.set_variable("_u", "Delta_u")
@@ -163,10 +170,63 @@ def do_mpc_model(do_mpc: Any) -> Any:
     return model
 
 
-def ask_do_mpc(mpc: Any, known: Any, tick: StepInput) -> float | None:
-    """Answer one tick; its first guess is its last solution."""
+def ask_do_mpc(mpc: Any, values: Any, tick: StepInput) -> float | None:
+    """Return the first move of one tick; do-mpc starts from its last solution."""
     A, B = augmented_model(tick.v_x)
-    known["_p", 0, "A"], known["_p", 0, "B"], known["_p", 0, "r"] = A, B, tick.r
+    values["_p", 0, "A"], values["_p", 0, "B"], values["_p", 0, "r"] = A, B, tick.r
     held = min(max(tick.u, -LIMITS.u_max), LIMITS.u_max)
     move = float(mpc.make_step(np.append(tick.x, held))[0, 0])
     return move if mpc.solver_stats["success"] else None
+
+
+def multiple_shooting(plugin: str, options: dict[str, Any]) -> Answer:
+    """Build the sparse problem: 15 free increments, bounds on them and on the angles."""
+    import casadi as ca
+
+    states, moves, p = ca.SX.sym("x", 6, N_P + 1), ca.SX.sym("Delta_u", N_C), ca.SX.sym("p", 8)
+    problem = {
+        "x": ca.vertcat(moves, ca.vec(states)),
+        "p": p,
+        "f": shooting_cost(states, moves, p[7]),
+        "g": dynamics_residuals(states, moves, p),
+    }
+    solver = ca.qpsol("S", plugin, problem, options)
+    bounds = dict(zip(("lbx", "ubx"), variable_bounds(), strict=True))
+
+    def answer(tick: StepInput) -> float | None:
+        held = min(max(tick.u, -LIMITS.u_max), LIMITS.u_max)
+        values = np.concatenate(((tick.v_x,), tick.x, (held, tick.r)))
+        try:
+            return float(solver(p=values, lbg=0, ubg=0, **bounds)["x"][0])
+        except RuntimeError:  # not solved
+            return None
+
+    return answer
+
+
+def shooting_cost(states: Any, moves: Any, r: Any) -> Any:
+    """Return the weighted squares of the predicted errors and of the increments."""
+    import casadi as ca
+
+    return Q * ca.sumsqr(states[4, 1:] - r) + R * ca.sumsqr(moves)
+
+
+def dynamics_residuals(states: Any, moves: Any, p: Any) -> Any:
+    """Return each state minus its prediction from the previous state; zero at a solution."""
+    import casadi as ca
+
+    A, B = symbolic_model(ca.fmax(p[0], 1.0))
+    residuals = [states[:, 0] - p[1:7]]
+    for k in range(N_P):
+        Delta_u = moves[k] if k < N_C else 0
+        x, u = A @ states[:5, k] + B * Delta_u, states[5, k] + Delta_u
+        residuals.append(states[:, k + 1] - ca.vertcat(x, u))
+    return ca.vertcat(*residuals)
+
+
+def variable_bounds() -> tuple[Array, Array]:
+    """Return the bounds of the increments and of the states; only the angle is bounded."""
+    states = np.full((N_P + 1, 6), math.inf)
+    states[1 : N_C + 1, 5] = LIMITS.u_max
+    high = np.append(np.full(N_C, LIMITS.Delta_u_max), states)
+    return -high, high

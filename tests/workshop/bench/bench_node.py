@@ -1,14 +1,16 @@
-"""Measure the real controller node: timer lateness, answer latency and tick at 10, 50 and 100 Hz.
+"""Measure the controller node: start, timer lateness, answer latency and tick.
 
-`python tests/workshop/bench/bench_node.py --seconds 60` prints a table and writes
-`bench_node.json`. The controller runs as it does on a car, as a process of its own; a second
-process is the car: it drives a circle in real time, publishes its state at the rate, and notes
-when the answers come.
+`python -m tests.workshop.bench.bench_node --seconds 60` prints a table at 10, 50 and 100 Hz and
+writes `bench_node.json`. The controller runs as a process of its own, as on a car. A second process
+is the car: it drives a circle in real time, publishes its state at the given rate, and measures
+when the answers arrive.
 """
 
 import argparse
 import json
 import os
+import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -19,11 +21,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
-from rich.table import Table
 
 from ampc_ros.configuration import Choices
 from launch_scripts.run.environment import ros_environment
 from launch_scripts.run.processes import Processes
+from tests.workshop.bench.bench_report import Row, Section, show
 
 CHOICES = {
     10: Choices(settings="table3", gain_table="preview"),
@@ -31,89 +33,113 @@ CHOICES = {
     100: Choices(settings="100hz", gain_table="preview_100hz"),
 }
 """Settings and gains by rate [Hz]."""
-START_TIME_OUT = 180.0
-"""Wall time for the two processes to find each other, which includes compiling [s]."""
+START_TIMEOUT = 180.0
+"""Wall time for start, compilation and discovery of the two processes [s]."""
 SECONDS = (0.1, 3600.0)
 """Shortest and longest measurement [s]."""
-WIDTH = 130
-"""Of the table, also where the terminal is narrower."""
+DURATIONS = {(rate, busy): 30.0 for rate in (10, 50, 100) for busy in (0, 1)} | {(100, 1): 60.0}
+"""Wall time of each measurement of `make bench`, by rate [Hz] and number of busy cores [s]."""
+NODE_NOTE = (
+    "The node as a process of its own, a second process as the car; 30 s each, 60 s at 100 Hz with "
+    "a busy core. Timer lateness, answer latency over ROS, and tick in ms: median / p99 / largest."
+)
+START_NOTE = (
+    "Wall time from the start of the process to its line `ready`; after that nothing is compiled. "
+    "Cold: without compiled code; warm: median of {runs} starts."
+)
+CONTROLLERS = ("preview", "paper")
+WIDTH = 160
+"""Minimum width of the printed table [characters]."""
 SPIN = "while True: pass"
 
 
 class Spread(NamedTuple):
-    """Median, 99th percentile and largest of a series."""
+    """Median, 99th percentile and maximum of a series."""
 
     p50: float
     p99: float
     max: float
 
+    def __str__(self) -> str:
+        """Return the three numbers with two decimals."""
+        return " / ".join(f"{value:.2f}" for value in self)
+
 
 class NodeRow(NamedTuple):
-    """What was measured at one rate."""
+    """Results at one rate."""
 
     rate: int
     """[Hz]"""
     busy: int
-    """Processes that spin beside, one to a core."""
+    """Number of busy cores."""
     ticks: int
-    """Commands received."""
+    """Number of received commands."""
     lateness: Spread
-    """Of the controller's timer [ms]."""
+    """Lateness of the controller's timer [ms]."""
     latency: Spread
-    """From publishing a state to receiving its command [ms]."""
+    """Time from the publication of a state to the arrival of its command [ms]."""
     tick: Spread
-    """State to command inside the node, `controller/debug/solve_time` [ms]."""
+    """Time from state to command inside the node, `controller/debug/solve_time` [ms]."""
     share: float
     """99th percentile of the tick, as a share of the period."""
     missed: int
-    """Missed ticks, as the node counts them in its diagnostics."""
+    """Number of missed ticks in the diagnostics of the node."""
     unanswered: int
-    """States without a command."""
+    """Number of states without a command."""
     load: float
     """Processor time of the node, as a share of one core."""
 
 
-def measure_node(
-    rates: Sequence[int] = (10, 50, 100), seconds: float = 10.0, busy: Sequence[int] = (0, 1)
-) -> list[NodeRow]:
-    """Measure the controller node at every rate, idle and with busy cores.
+def measure(*, quick: bool) -> list[Section]:
+    """Return one table: a row for each rate, idle and with one busy core."""
+    cases = {(10, 0): 2.0} if quick else DURATIONS
+    rows = [measure_rate(rate, time, busy) for (rate, busy), time in cases.items()]
+    return [node_section(rows)]
 
-    Args:
-        rates: Of states and commands, 10, 50 or 100 [Hz].
-        seconds: Of each measurement [s].
-        busy: Numbers of cores to keep busy.
+
+def measure_start(*, quick: bool) -> list[Section]:
+    """Return one table of the start time: a row for each formulation."""
+    runs = 1 if quick else 7
+    rows: list[Row] = []
+    for controller in CONTROLLERS[: 1 if quick else None]:
+        with tempfile.TemporaryDirectory() as cache:
+            cold = seconds_to_ready(controller, cache)
+            warm = [seconds_to_ready(controller, cache) for _ in range(runs)]
+        row = {"cold [s]": cold, "warm [s]": statistics.median(warm)}
+        rows.append({"controller": controller, **row, "warm, slowest [s]": max(warm)})
+    return [Section("start", "Start of the node", START_NOTE.format(runs=runs), rows)]
+
+
+def measure_rate(rate: int, seconds: float, busy: int) -> NodeRow:
+    """Measure one rate [Hz] with some busy cores.
 
     Raises:
-        RuntimeError: A process ended early; the message holds its last words.
+        RuntimeError: A process ended early; the message holds its last line.
     """
-    return [measure(rate, seconds, spinning) for spinning in busy for rate in rates]
-
-
-def measure(rate: int, seconds: float, busy: int) -> NodeRow:
-    """Measure one rate [Hz] with some cores busy."""
     with tempfile.TemporaryDirectory() as folder, busy_cores(busy):
         logs, result = Path(folder), Path(folder) / "row.json"
         with Processes(logs) as nodes:
             chosen = {key: getattr(CHOICES[rate], key) for key in ("settings", "gain_table")}
-            given = {**chosen, "static_path": True}
-            nodes.start("controller", "ampc_ros.nodes.controller_node", given)
+            nodes.start(
+                "controller", "ampc_ros.nodes.controller_node", chosen | {"static_path": True}
+            )
             controller = nodes.running["controller"].pid
-            asked = {"rate": rate, "seconds": seconds, "pid": controller, "result": str(result)}
-            nodes.start("car", "tests.workshop.bench.bench_car_node", asked)
-            wait_for(nodes, seconds + START_TIME_OUT)
+            car = {"rate": rate, "seconds": seconds, "pid": controller, "result": str(result)}
+            nodes.start("car", "tests.workshop.bench.bench_car_node", car)
+            wait_for(nodes, seconds + START_TIMEOUT)
         measured = json.loads(result.read_text(encoding="utf-8"))
     measured |= {key: Spread(*measured[key]) for key in ("lateness", "latency", "tick")}
     share = measured["tick"].p99 * rate / 1000.0
     return NodeRow(rate=rate, busy=busy, share=share, **measured)
 
 
-def wait_for(nodes: Processes, patience: float) -> None:
-    """Wait until the car has measured [s].
+def wait_for(nodes: Processes, timeout: float) -> None:
+    """Wait until the car has finished its measurement [s].
 
     Raises:
-        RuntimeError: It did not, or the controller has ended.
+        RuntimeError: The timeout is over, or the controller has ended.
     """
-    until = time.monotonic() + patience
+    until = time.monotonic() + timeout
     while not (ended := nodes.ended()):
         if time.monotonic() > until:
             raise RuntimeError(f"no result: {nodes.last_line('car')}")
@@ -138,22 +164,53 @@ def busy_cores(count: int) -> Iterator[None]:
             process.wait()
 
 
-def table(rows: Sequence[NodeRow]) -> Table:
-    """Lay the rows out."""
-    shown = Table(title="controller node; p50 / p99 / max [ms]")
-    heads = ("rate [Hz]", "busy cores", "timer lateness", "answer latency", "tick")
-    for head in (*heads, "tick p99 / period", "missed", "unanswered", "ticks", "load"):
-        shown.add_column(head, justify="right")
-    for row in rows:
-        spreads = ["/".join(f"{v:.2f}" for v in s) for s in (row.lateness, row.latency, row.tick)]
-        counts = [str(number) for number in (row.missed, row.unanswered, row.ticks)]
-        share, load = f"{row.share:.1%}", f"{row.load:.0%}"
-        shown.add_row(str(row.rate), str(row.busy), *spreads, share, *counts, load)
-    return shown
+def seconds_to_ready(controller: str, cache: str) -> float:
+    """Start the node with a cache of compiled code; return the time until it is ready [s].
+
+    Raises:
+        RuntimeError: The node ended before; the message holds its output.
+    """
+    environment = {**ros_environment(), "XDG_CACHE_HOME": cache}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-m", "ampc_ros.nodes.controller_node"]
+    command += ["--ros-args", "-p", f"controller:={controller}"]
+    begin, output = time.monotonic(), ""
+    node = subprocess.Popen(
+        command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        for line in node.stdout or ():
+            output += line
+            if line.rstrip().endswith(": ready"):
+                return time.monotonic() - begin
+    finally:
+        os.kill(node.pid, signal.SIGKILL)
+        node.wait()
+    raise RuntimeError(f"controller: ended before it was ready: {output.strip()[-500:]}")
+
+
+def node_section(rows: Sequence[NodeRow]) -> Section:
+    """Return the results as a table."""
+    cells: list[Row] = [
+        {
+            "rate [Hz]": str(row.rate),
+            "busy cores": str(row.busy),
+            "timer lateness [ms]": str(row.lateness),
+            "answer latency [ms]": str(row.latency),
+            "tick [ms]": str(row.tick),
+            "tick p99 / period [%]": 100.0 * row.share,
+            "missed ticks": str(row.missed),
+            "unanswered": str(row.unanswered),
+            "ticks": str(row.ticks),
+            "load [%]": 100.0 * row.load,
+        }
+        for row in rows
+    ]
+    return Section("node", "Controller node", NODE_NOTE, cells)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, show, write; gives the exit code."""
+    """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
     parser.add_argument("--rates", type=int, nargs="+", default=list(CHOICES), choices=CHOICES)
@@ -164,19 +221,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not low <= chosen.seconds <= high:
         parser.error(f"--seconds {chosen.seconds:g}: must lie in [{low:g}, {high:g}]")
     os.environ.update(ros_environment())
-    rows = measure_node(chosen.rates, chosen.seconds, chosen.busy)
-    Console(width=WIDTH).print(table(rows))
-    text = json.dumps([as_dictionary(row) for row in rows], indent=1)
-    chosen.output.write_text(text + "\n", encoding="utf-8")
+    rows = [measure_rate(rate, chosen.seconds, n) for n in chosen.busy for rate in chosen.rates]
+    show(node_section(rows), Console(width=WIDTH))
+    content = [
+        {k: v._asdict() if isinstance(v, Spread) else v for k, v in row._asdict().items()}
+        for row in rows
+    ]
+    chosen.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return 0
-
-
-def as_dictionary(row: NodeRow) -> dict[str, object]:
-    """Give a row as JSON takes it, spreads by name too."""
-    return {
-        key: value._asdict() if isinstance(value, Spread) else value
-        for key, value in row._asdict().items()
-    }
 
 
 if __name__ == "__main__":

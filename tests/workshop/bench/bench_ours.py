@@ -1,4 +1,4 @@
-"""What is measured of ours, behind plain functions: the one place that follows changes of it."""
+"""Adapters of AMPC for the benchmark; only this file depends on its interfaces."""
 
 import math
 from collections.abc import Callable
@@ -41,34 +41,34 @@ SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 CAR = load_vehicle(find("vehicles", "paper"))
 ROADS = ("sc1", "sc2", "sc3_constant", "sc3_wind")
 GAINS = load_gain_table("table3").nodes[0]
-"""(45, 15, 5): the paper's sizes."""
+"""Sizes of the paper: (45, 15, 5)."""
 
 
 class Task(NamedTuple):
-    """One tick to answer: gains, lane, and what the controller knows."""
+    """Inputs of one tick: gains, lane, and state."""
 
     gains: Gains
     half_width: float
-    """Of the soft lane; infinite: no output rows [m]."""
+    """Half width of the soft lane; infinite: no output rows [m]."""
     tick: StepInput
 
 
 def limits(half_width: float = math.inf) -> Limits:
-    """Give the limits of Table 3, with a lane if asked for."""
+    """Return the limits of Table 3 with an optional lane."""
     return limits_of(replace(SETTINGS, max_output_error=half_width))
 
 
-def posed(task: Task) -> Qp:
-    """Pose the programme of a tick."""
+def qp_of(task: Task) -> Qp:
+    """Build the quadratic program of a tick."""
     return new_qp(VEHICLE, task.gains, limits(task.half_width), task.tick)
 
 
 def qp_alone(qp: Qp) -> Callable[[], Array | None]:
-    """Give a call that solves, in memory made beforehand."""
-    programme, memory = tuple(qp), solver_memory(*qp.M.shape)
+    """Return a call that solves in preallocated memory."""
+    matrices, memory = tuple(qp), solver_memory(*qp.M.shape)
 
     def solve() -> Array | None:
-        _, status = solve_in(programme, memory)
+        _, status = solve_in(matrices, memory)
         return memory[0] if status == SOLVED else None
 
     return solve
@@ -76,7 +76,7 @@ def qp_alone(qp: Qp) -> Callable[[], Array | None]:
 
 @in_place
 def solve_often(qp: Qp, x: Array, multipliers: Array, scratch: Scratch, times: int) -> None:
-    """Solve again and again, as often as the compiled tick would in so many ticks."""
+    """Solve repeatedly inside compiled code."""
     for _ in range(times):
         for i in range(len(multipliers)):
             multipliers[i] = 0.0
@@ -84,29 +84,29 @@ def solve_often(qp: Qp, x: Array, multipliers: Array, scratch: Scratch, times: i
 
 
 def qp_inside(qp: Qp, times: int) -> Callable[[], object]:
-    """Give a call that solves so often inside compiled code."""
+    """Return a call that solves a number of times inside compiled code."""
     m, n = qp.M.shape
     memory = np.zeros(n), np.zeros(m), make_scratch(active_set_numbers(m, n))
     return partial(solve_often, qp, *memory, times)
 
 
 def whole_tick(gains: Gains) -> Callable[[StepInput], float | None]:
-    """Give what answers a tick by its first move [rad], in memory made beforehand."""
+    """Return a function from tick to first move [rad] with preallocated memory."""
     scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
-    known = VEHICLE, tuple(gains), tuple(limits())
+    fixed = VEHICLE, tuple(gains), tuple(limits())
 
     def answer(tick: StepInput) -> float | None:
-        Delta_u, status = plan_often(*known, tuple(tick), scratch, 1)
+        Delta_u, status = plan_often(*fixed, tuple(tick), scratch, 1)
         return Delta_u if status == SOLVED else None
 
     return answer
 
 
 def tick_inside(gains: Gains, tick: StepInput, times: int) -> Callable[[], object]:
-    """Give a call that answers a tick so often inside compiled code."""
+    """Return a call that computes a tick a number of times inside compiled code."""
     scratch = tuple(make_scratch(scratch_numbers(*gains[:3])))
-    known = VEHICLE, tuple(gains), tuple(limits()), tuple(tick)
-    return partial(plan_often, *known, scratch, times)
+    fixed = VEHICLE, tuple(gains), tuple(limits()), tuple(tick)
+    return partial(plan_often, *fixed, scratch, times)
 
 
 @in_place
@@ -118,7 +118,7 @@ def plan_often(
     scratch: tuple[Any, ...],
     times: int,
 ) -> tuple[float, int]:
-    """Pose and solve, once or again and again, in scratch memory that nobody else uses."""
+    """Build and solve a tick repeatedly in its own scratch memory."""
     memory, step, plan = Scratch(*scratch), StepInput(*tick), QpResult(0.0, 0, 0.0, 0, 0)
     for _ in range(times):
         memory.used[0] = 0
@@ -128,39 +128,39 @@ def plan_often(
 
 
 def full_steps(driven: Drive, path: Path) -> list[Callable[[], object]]:
-    """Give the controller's answers to a drive, each from what it remembered then."""
+    """Return calls that repeat the steps of a drive, each with the memory at that time."""
     controller = LateralMpc(CHASSIS, SETTINGS, load_gain_table("table3"))
-    remembered = []
+    memories = []
     for state in driven.states:
-        remembered.append(controller.memory.copy())
+        memories.append(controller.memory.copy())
         controller.step(state, path)
 
     def step(memory: Array, state: VehicleState) -> object:
         controller.memory[:] = memory
         return controller.step(state, path)
 
-    return [partial(step, *both) for both in zip(remembered, driven.states, strict=True)]
+    return [partial(step, *both) for both in zip(memories, driven.states, strict=True)]
 
 
 def laguerre(gains: Gains) -> Array:
-    """Laguerre functions L(0)' .. L(N_c - 1)' as rows (N_c, N)."""
+    """Return the Laguerre functions L(0)' .. L(N_c - 1)' as rows (N_c, N)."""
     L = np.zeros((gains.control_horizon, gains.laguerre_terms))
     laguerre_sequence(gains.laguerre_pole, L)
     return L
 
 
 def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Callable[[], int]:
-    """Put cars on the paper's roads, the friction of each another.
+    """Prepare cars on the roads of the paper, each with another friction.
 
     Args:
         formulation: `paper` or `preview`.
-        cars: How many.
-        step: Of the integration [s].
-        seconds: Of the drives, simulated time.
+        cars: Number of cars.
+        step: Integration step [s].
+        seconds: Simulated duration of the drives [s].
 
     Returns:
-        A call that drives all of them to their ends, in one thread, and gives the number of
-        control ticks that this took.
+        A call that drives all cars to the end in one thread and returns the number of control
+        ticks.
     """
     roads = [load_scenario(name, CAR.size)._replace(duration=seconds) for name in ROADS]
     step_ns, friction = round(step * NANOSECONDS), np.linspace(0.8, 1.0, cars)

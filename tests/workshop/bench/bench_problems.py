@@ -1,4 +1,4 @@
-"""The common task of all solvers: programmes of closed loops, and what is right for each."""
+"""Quadratic programs from closed loops, with the exact first move of each."""
 
 import math
 from collections.abc import Iterator
@@ -22,55 +22,54 @@ from ampc_ros.mpc.qp import Qp
 from ampc_ros.paper.qp_assembly import StepInput
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
-from tests.workshop.bench.bench_ours import GAINS, SETTINGS, Task, laguerre
-from tests.workshop.bench.bench_ours import posed as pose
-from tests.workshop.bench.bench_reference import exact_move, one_sided
+from tests.workshop.bench.bench_ours import GAINS, SETTINGS, Task, laguerre, qp_of
+from tests.workshop.bench.bench_qp import exact_move, one_sided
 
 CAR = load_vehicle(find("vehicles", "paper"))
 SCENARIOS = ("sc3_constant", "sc2")
 KINDS = ("recorded", "perturbed", "lane with slack", "repeated rows", "hard lane", "infeasible")
 SPREAD = np.array([0.3, 0.03, 0.1, 0.2, 1.5])
-"""Of the random perturbations of [Delta v_y, Delta yaw, Delta r, Delta Y, Y], in SI units."""
+"""Scale of the random perturbations of [Delta v_y, Delta yaw, Delta r, Delta Y, Y], SI units."""
 BORDER = 1e-6
-"""Programmes as near to the border of feasibility are left out: share of the size of a bound."""
+"""Relative distance to the border of feasibility below which a problem is omitted."""
 
 
 class Problem(NamedTuple):
-    """A programme, and what is right for it."""
+    """A quadratic program and its exact first move."""
 
     kind: str
     qp: Qp
     L_0: Array
     """First move = L(0)' x, zero at the slack (n,)."""
     move: float
-    """First move of the solution [rad]; nan: there is no solution."""
+    """First move of the solution [rad]; NaN: infeasible."""
     doubt: float
-    """Bound of its error [rad]."""
+    """Bound of the error of `move` [rad]."""
     active: int
-    """Rows that hold with equality."""
+    """Number of active rows."""
 
 
 def problems(count: int, seed: int = 1) -> list[Problem]:
-    """Make so many programmes of every kind."""
+    """Return a number of problems of every kind."""
     rng = np.random.default_rng(seed)
     ticks = recorded_ticks()
     return [p for kind in KINDS for p in islice(of_kind(kind, ticks, rng), count)]
 
 
 def recorded_ticks() -> list[StepInput]:
-    """What the paper's controller knew in closed loop, tick by tick."""
+    """Return the inputs of the paper's controller in closed loop, tick by tick."""
     return [tick for name in SCENARIOS for tick in ticks_of(*drive_scenario(name))]
 
 
 def drive_scenario(name: str) -> tuple[Drive, Path]:
-    """Drive a scenario with the paper's controller; gives the path, too."""
+    """Drive a scenario with the paper's controller; return drive and path."""
     scenario = load_scenario(name, CAR.size)
     driven = drive(Simulation(CAR, scenario), make_controller(Choices("paper")))
     return driven, make_path(scenario.points)
 
 
 def ticks_of(driven: Drive, path: Path) -> list[StepInput]:
-    """Read off what was seen and commanded, what the controller knew at each tick."""
+    """Reconstruct the inputs of the controller at each tick of a drive."""
     frame, ticks = path_frame(path), []
     last: Array | None = None
     for k, state in enumerate(driven.states):
@@ -85,14 +84,14 @@ def ticks_of(driven: Drive, path: Path) -> list[StepInput]:
 
 
 def perturbed(tick: StepInput, rng: np.random.Generator) -> StepInput:
-    """Move a recorded tick to where bounds are active."""
+    """Perturb a recorded tick so that bounds become active."""
     x = tick.x + rng.choice([0.3, 1.0, 3.0]) * SPREAD * rng.standard_normal(5)
     u = rng.uniform(-1.0, 1.0) * SETTINGS.max_angle
     return StepInput(tick.v_x * rng.uniform(0.7, 1.3), x, u, tick.r)
 
 
 def task_of(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Task:
-    """Draw a tick of a kind."""
+    """Return a random tick of a kind."""
     tick = ticks[rng.integers(len(ticks))]
     if kind != "recorded":
         tick = perturbed(tick, rng)
@@ -101,9 +100,9 @@ def task_of(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Task
 
 
 def of_kind(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Iterator[Problem]:
-    """Draw programmes of a kind for ever."""
+    """Yield random problems of a kind without end."""
     while True:
-        qp = pose(task_of(kind, ticks, rng))
+        qp = qp_of(task_of(kind, ticks, rng))
         if kind == "repeated rows":
             qp = with_repeated_rows(qp, rng)
         if kind in ("hard lane", "infeasible"):
@@ -111,11 +110,11 @@ def of_kind(kind: str, ticks: list[StepInput], rng: np.random.Generator) -> Iter
             room = room_inside(qp)
             if abs(room) < BORDER or (room > 0) != (kind == "hard lane"):
                 continue
-        yield judged(kind, qp)
+        yield with_solution(kind, qp)
 
 
 def with_repeated_rows(qp: Qp, rng: np.random.Generator) -> Qp:
-    """Repeat half of the rows, some of them scaled: linearly dependent whenever active."""
+    """Repeat half of the rows, some scaled, so that active rows are linearly dependent."""
     chosen = rng.permutation(len(qp.M))[: len(qp.M) // 2]
     scale = rng.choice([1.0, 1.0, 3.0], len(chosen))
     return qp._replace(
@@ -126,27 +125,27 @@ def with_repeated_rows(qp: Qp, rng: np.random.Generator) -> Qp:
 
 
 def without_slack(qp: Qp) -> Qp:
-    """Make the lane hard: the slack, last unknown and last row, goes."""
+    """Remove the slack, the last unknown and the last row, so that the lane is a hard bound."""
     n = len(qp.K) - 1
     E, M = np.ascontiguousarray(qp.E[:n, :n]), np.ascontiguousarray(qp.M[:-1, :n])
     return Qp(E, qp.K[:n].copy(), M, qp.low[:-1].copy(), qp.high[:-1].copy())
 
 
 def room_inside(qp: Qp) -> float:
-    """Least distance to all bounds that a point can have, up to 1; negative if there is none.
+    """Return the largest possible distance to all bounds, up to 1; negative if infeasible.
 
-    Rows are scaled to a length of 1; the linear programme is HiGHS's.
+    Rows are scaled to length 1; HiGHS solves the linear program.
     """
     M, gamma = one_sided(qp)
     lengths = np.linalg.norm(M, axis=1)
     room = np.append(np.zeros(len(qp.K)), 1.0)
     rows = np.vstack((np.column_stack((M / lengths[:, None], np.ones(len(M)))), room))
-    found = linprog(-room, rows, np.append(gamma / lengths, 1.0), bounds=(None, None))
-    return float(found.x[-1])
+    result = linprog(-room, rows, np.append(gamma / lengths, 1.0), bounds=(None, None))
+    return float(result.x[-1])
 
 
-def judged(kind: str, qp: Qp) -> Problem:
-    """Add what is right."""
+def with_solution(kind: str, qp: Qp) -> Problem:
+    """Return the problem with its exact first move."""
     L_0 = np.append(laguerre(GAINS)[0], np.zeros(len(qp.K) - GAINS.laguerre_terms))
     if kind == "infeasible":
         return Problem(kind, qp, L_0, math.nan, 0.0, 0)

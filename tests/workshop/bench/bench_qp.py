@@ -1,65 +1,72 @@
-"""Solvers of one quadratic programme, ours and others, behind one shape.
+"""Solvers of one quadratic program, and its exact first move with a bound of the error.
 
-`prepare` brings the same matrices into the form that a solver wants and is not timed; what it
-gives is a call without arguments, which is. The call answers with x, or with nothing where the
-solver says that it has no solution.
+`prepare` converts the matrices into the form that a solver needs; this is not timed. Its result is
+a call without arguments, which is timed and returns x, or None if the solver reports no solution.
 """
 
 import importlib.util
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
+from scipy.optimize import nnls
 from scipy.sparse import csc_matrix
 
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import Qp
 from tests.workshop.bench.bench_ours import qp_alone
-from tests.workshop.bench.bench_reference import one_sided
 
 Answer = Callable[[], Array | None]
 Settings = dict[str, Any]
 OSQP_TIGHT = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
+TIGHT = {"primal_tol": 1e-12, "dual_tol": 1e-13}
+ON_BOUND = 1e-9
+"""Relative distance to its bound below which a row counts as active."""
+WRONG = 1e-3
+"""Error of the first move from which an answer is wrong [rad]."""
+LARGEST_DOUBT = 1e-4
+"""Largest error bound of a reference, a tenth of a wrong answer [rad]."""
 
 
 class Solver(NamedTuple):
-    """One row of the table."""
+    """A solver of the table."""
 
     name: str
     package: str
-    """That has to be installed."""
+    """Required package."""
     call: str
-    """What is timed."""
+    """Description of the timed call."""
     prepare: Callable[[Qp], Answer]
     slow: bool = False
-    """Goes through the programmes less often."""
+    """True for fewer repetitions."""
 
 
 def with_daqp(qp: Qp) -> Answer:
-    """DAQP, a dual active-set method in C."""
+    """Prepare DAQP, a dual active-set method in C."""
     return partial(solve_daqp, qp.E, qp.K, qp.M, qp.high, qp.low)
 
 
 def solve_daqp(*matrices: Array) -> Array | None:
-    """Solve, default settings."""
+    """Solve with default settings."""
     x, _, flag, _ = daqp.solve(*matrices)
     return np.asarray(x) if flag > 0 else None
 
 
-def daqp_inside(programmes: Sequence[Qp], rounds: int) -> Array:
-    """What DAQP says that it needed, without the way there from Python, (rounds, m) [us]."""
-    times = np.empty((rounds, len(programmes)))
+def daqp_inside(problems: Sequence[Qp], rounds: int) -> Array:
+    """Return the durations that DAQP reports, without the call from Python, (rounds, m) [us]."""
+    times = np.empty((rounds, len(problems)))
     for k in range(rounds):
-        for i, qp in enumerate(programmes):
-            *_, told = daqp.solve(qp.E, qp.K, qp.M, qp.high, qp.low)
-            times[k, i] = 1e6 * (told["setup_time"] + told["solve_time"])
+        for i, qp in enumerate(problems):
+            *_, report = daqp.solve(qp.E, qp.K, qp.M, qp.high, qp.low)
+            times[k, i] = 1e6 * (report["setup_time"] + report["solve_time"])
     return times
 
 
 def with_quadprog(qp: Qp) -> Answer:
-    """Goldfarb and Idnani's own method, in C: maximal -K' x, M' as columns, >=."""
+    """Prepare quadprog, the method of Goldfarb and Idnani in C: -K, M' as columns, >=."""
     import quadprog
 
     M, gamma = one_sided(qp)
@@ -76,7 +83,7 @@ def with_quadprog(qp: Qp) -> Answer:
 
 
 def with_osqp(workspaces: dict[tuple[int, ...], Any], settings: Settings, qp: Qp) -> Answer:
-    """OSQP, an operator splitting in C; its workspace is kept and all numbers are updated."""
+    """Prepare OSQP, operator splitting in C; the workspace is reused and all numbers updated."""
     import osqp
 
     E, A = upper_triangle(qp.E), full(qp.M)
@@ -94,14 +101,14 @@ def with_osqp(workspaces: dict[tuple[int, ...], Any], settings: Settings, qp: Qp
 
 
 def full(A: Array) -> Any:
-    """Sparse form (m, n) that keeps its zeros, so that one structure fits all numbers."""
+    """Return the sparse form (m, n) with explicit zeros, so that the structure is constant."""
     m, n = A.shape
     rows = np.tile(np.arange(m), n)
     return csc_matrix((A.ravel(order="F"), rows, m * np.arange(n + 1)), shape=(m, n))
 
 
 def upper_triangle(E: Array) -> Any:
-    """Upper triangle of (n, n) in sparse form that keeps its zeros."""
+    """Return the upper triangle of (n, n) in sparse form with explicit zeros."""
     n = len(E)
     columns, rows = np.tril_indices(n)
     values: Array = E[rows, columns]
@@ -109,7 +116,7 @@ def upper_triangle(E: Array) -> Any:
 
 
 def with_piqp(qp: Qp) -> Answer:
-    """PIQP, a proximal interior-point method in C++, dense."""
+    """Prepare PIQP, a dense proximal interior-point method in C++."""
     import piqp
 
     E, A = np.asfortranarray(qp.E), np.asfortranarray(qp.M)
@@ -134,11 +141,56 @@ SOLVERS = (
 
 
 def installed(package: str) -> bool:
-    """Whether a package is there."""
+    """Check whether a package is installed."""
     return importlib.util.find_spec(package) is not None
 
 
 def missing(packages: set[str]) -> str:
-    """Say who could not take part."""
+    """Return a note on packages that are not installed."""
     absent = sorted(package for package in packages if not installed(package))
-    return f"Not installed, left out: {', '.join(absent)}." if absent else ""
+    return f"Not installed and omitted: {', '.join(absent)}." if absent else ""
+
+
+def exact_move(qp: Qp, L_0: Array) -> tuple[float, float, int]:
+    """Solve with DAQP at tight tolerances, and verify the optimality conditions.
+
+    Returns:
+        First move L(0)' x [rad], bound of its error [rad], and number of active rows.
+
+    Raises:
+        ArithmeticError: The error bound is too large.
+    """
+    x, _, flag, _ = daqp.solve(qp.E, qp.K, qp.M, qp.high, qp.low, **TIGHT)
+    doubt, active = certificate(qp, x, L_0) if flag > 0 else (math.inf, 0)
+    if not doubt < LARGEST_DOUBT:
+        raise ArithmeticError(f"reference: DAQP's flag {flag}, error up to {doubt:.1e} rad")
+    return float(L_0 @ x), doubt, active
+
+
+def certificate(qp: Qp, x: Array, L_0: Array) -> tuple[float, int]:
+    """Return a bound of the error of L(0)' x [rad], and the number of active rows.
+
+    The multipliers of the active rows are the non-negative ones that minimise the residual r of
+    the gradient. As E is positive definite, the distance of x from the solution in the norm of E
+    is at most the norm of E^-1 r plus the root of the sum of multiplier times distance to the
+    bound. The bound of an infeasible point is infinite.
+    """
+    M, gamma = one_sided(qp)
+    slack = gamma - M @ x
+    size = 1.0 + np.abs(gamma)
+    active = slack < ON_BOUND * size
+    r, gap = qp.E @ x + qp.K, 0.0
+    if active.any():
+        multipliers, _ = nnls(M[active].T, -r)
+        r = r + M[active].T @ multipliers
+        gap = float(multipliers @ np.abs(slack[active]))
+    distance = math.sqrt(r @ np.linalg.solve(qp.E, r)) + math.sqrt(gap)
+    bound = distance * math.sqrt(L_0 @ np.linalg.solve(qp.E, L_0))
+    return (bound if (slack > -ON_BOUND * size).all() else math.inf), int(active.sum())
+
+
+def one_sided(qp: Qp) -> tuple[Array, Array]:
+    """Return rows and bounds of M x <= gamma."""
+    upper, lower = np.isfinite(qp.high), np.isfinite(qp.low)
+    M = np.vstack((qp.M[upper], -qp.M[lower]))
+    return np.ascontiguousarray(M), np.append(qp.high[upper], -qp.low[lower])

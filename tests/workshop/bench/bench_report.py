@@ -1,4 +1,4 @@
-"""What the benchmark found, as tables, JSON, Markdown and a picture."""
+"""Tables of the benchmark on the screen, as JSON and as Markdown."""
 
 import json
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ class Section(NamedTuple):
     """One table."""
 
     key: str
-    """In JSON."""
+    """Key in JSON."""
     title: str
     note: str
-    """What was measured, and how."""
+    """Conditions of the measurement."""
     rows: list[Row]
-    """All with the same headings."""
+    """Rows with the same headings."""
 
 
 def text(value: Any) -> str:
-    """A cell: three digits, or a dash where there is no number."""
+    """Return a cell as text: three digits, or a dash without a value."""
     if value is None:
         return "-"
     if isinstance(value, float):
@@ -47,9 +47,9 @@ def show(section: Section, console: Console) -> None:
     console.print(f"{escape(section.note)}\n", style="dim")
 
 
-def markdown(of_machine: Row, sections: Sequence[Section]) -> str:
-    """Write all tables."""
-    packages = ", ".join(f"{name} {found}" for name, found in of_machine["packages"].items())
+def bench_markdown(of_machine: Row, sections: Sequence[Section]) -> str:
+    """Return all tables as Markdown."""
+    packages = ", ".join(f"{name} {version}" for name, version in of_machine["packages"].items())
     parts = [f"{machine_line(of_machine)} {packages}.\n"]
     for section in sections:
         note = f"**{section.title}.** {section.note}".rstrip()
@@ -58,7 +58,7 @@ def markdown(of_machine: Row, sections: Sequence[Section]) -> str:
 
 
 def machine_line(of_machine: Row) -> str:
-    """Say on what was measured."""
+    """Return a description of the machine."""
     return (
         f"{of_machine['cpu']}, {of_machine['cores']} cores, {of_machine['system']}, "
         f"Python {of_machine['python']}; "
@@ -67,7 +67,7 @@ def machine_line(of_machine: Row) -> str:
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
-    """Write one table."""
+    """Return one table as Markdown."""
     headings = list(rows[0])
     lines = ["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
     lines += ["| " + " | ".join(map(text, row.values())) + " |" for row in rows]
@@ -75,10 +75,10 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def put_into(file: File, of_machine: Row, section: Section) -> None:
-    """Replace what stands between the two marks of a Markdown file by one table.
+    """Replace the text between the two marks of a Markdown file by one table.
 
     Raises:
-        ValueError: The marks are not there.
+        ValueError: The marks are missing.
     """
     before, begin, rest = file.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
@@ -89,15 +89,15 @@ def put_into(file: File, of_machine: Row, section: Section) -> None:
 
 
 def read(files: Sequence[File]) -> tuple[Row, list[Section]]:
-    """Read what was written, of several parts; the machine is that of the first."""
+    """Read `bench.json` files; the machine is that of the first."""
     contents = [json.loads(file.read_text(encoding="utf-8")) for file in files]
-    found = {key: value for content in contents for key, value in content["sections"].items()}
-    sections = [Section(key, **value) for key, value in found.items() if key != "bars"]
+    by_key = {key: value for content in contents for key, value in content["sections"].items()}
+    sections = [Section(key, **value) for key, value in by_key.items() if key != "thresholds"]
     return contents[0]["machine"], sections
 
 
 def write(folder: File, of_machine: Row, sections: Sequence[Section]) -> None:
-    """Write JSON and Markdown."""
+    """Write `bench.json` and `bench.md`."""
     folder.mkdir(parents=True, exist_ok=True)
     content = {
         "machine": of_machine,
@@ -105,4 +105,4 @@ def write(folder: File, of_machine: Row, sections: Sequence[Section]) -> None:
     }
     encoded = json.dumps(content, indent=2, allow_nan=False) + "\n"
     (folder / "bench.json").write_text(encoded, encoding="utf-8")
-    (folder / "bench.md").write_text(markdown(of_machine, sections), encoding="utf-8")
+    (folder / "bench.md").write_text(bench_markdown(of_machine, sections), encoding="utf-8")

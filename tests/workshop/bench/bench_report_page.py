@@ -1,7 +1,7 @@
-"""Measure the report: a made bag of an hour, wall time, memory, size of the page.
+"""Measure the report of a synthetic bag of an hour: wall time, memory, size of the page.
 
-`python tests/workshop/bench/bench_report_page.py --minutes 60` writes the bag and the page into a
-new folder. The drive is made of formulas, so that its peaks are known; the messages are real.
+`python -m tests.workshop.bench.bench_report_page --minutes 60` writes the bag and the page into a
+new folder. Formulas define the drive, so its peaks are known exactly.
 """
 
 import argparse
@@ -32,9 +32,9 @@ from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
 PERIOD_NS = NANOSECONDS // 10
 ODOM_NS = NANOSECONDS // 50
 SPEED, RADIUS = 15.0, 800.0
-"""A circle, driven round and round [m/s], [m]."""
+"""Speed [m/s] and radius [m] of the circle."""
 PREDICTED = 45
-"""Points of a prediction."""
+"""Number of points of a prediction."""
 SUPERVISOR = (
     *("steering", "planned_steering", "rung", "reason", "clipped", "state_age", "path_age"),
     *("measured_steering", "stop_requested", "configuration", "qp_fault", "rejected_inputs"),
@@ -44,7 +44,7 @@ NAMES = (*ros.DEBUG_QUANTITIES, *SUPERVISOR)
 
 
 def state_at(stamp_ns: int) -> VehicleState:
-    """Give the car on its circle, swinging 5 cm about it, and 40 cm once in ten minutes."""
+    """Return the state on the circle with an oscillation of 5 cm and a peak of 40 cm in 10 min."""
     t = stamp_ns / NANOSECONDS
     swing = 0.05 * math.sin(0.7 * t) + 0.4 * math.exp(-(((t % 600.0) - 300.0) ** 2))
     angle, radius = SPEED * t / RADIUS, RADIUS - swing
@@ -53,12 +53,12 @@ def state_at(stamp_ns: int) -> VehicleState:
 
 
 def steering_at(t: float) -> float:
-    """Give the command [rad]."""
+    """Return the command [rad]."""
     return 0.0034 + 0.004 * math.sin(0.7 * t) + 0.001 * math.sin(31.0 * t)
 
 
 def tick_message(stamp_ns: int, rng: np.random.Generator) -> JointState:
-    """Give all that a tick used and decided."""
+    """Return the tick message."""
     t, steering = stamp_ns / NANOSECONDS, steering_at(stamp_ns / NANOSECONDS)
     faulty = t % 600.0 > 595.0
     diagnosis = Diagnosis(
@@ -88,7 +88,7 @@ def tick_message(stamp_ns: int, rng: np.random.Generator) -> JointState:
 
 
 def configurations() -> dict[str, dict[str, Any]]:
-    """Give what the nodes say about themselves."""
+    """Return the configurations of the nodes."""
     vehicle = read(find("vehicles", "ordinary"))
     settings = read(find("controllers", "table3"))
     sections = {key: vehicle[key] for key in ("chassis", "steering")}
@@ -98,7 +98,7 @@ def configurations() -> dict[str, dict[str, Any]]:
 
 
 def once(stamp_ns: int) -> dict[str, Any]:
-    """Give the latched messages."""
+    """Return the latched messages."""
     angle = np.linspace(0.0, math.tau, 1000)
     circle = RADIUS * np.column_stack((np.sin(angle), 1.0 - np.cos(angle)))
     texts = {f"{node}/configuration": yaml.safe_dump(c) for node, c in configurations().items()}
@@ -107,7 +107,7 @@ def once(stamp_ns: int) -> dict[str, Any]:
 
 
 def measured(stamp_ns: int) -> dict[str, Any]:
-    """Give what comes at 50 Hz."""
+    """Return the messages of 50 Hz."""
     return {
         ros.ODOM: ros.odometry_message(state_at(stamp_ns)),
         ros.STEERING_STATE: ros.joint_message(stamp_ns, steering_at(stamp_ns / NANOSECONDS), 0.0),
@@ -116,7 +116,7 @@ def measured(stamp_ns: int) -> dict[str, Any]:
 
 
 def ticked(stamp_ns: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Give what comes with every tick."""
+    """Return the messages of every tick."""
     steering = steering_at(stamp_ns / NANOSECONDS)
     return {
         ros.TARGET_SPEED: ros.speed_message(ros.Stamped(stamp_ns, SPEED)),
@@ -127,7 +127,7 @@ def ticked(stamp_ns: int, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def prediction(stamp_ns: int) -> Any:
-    """Give the path that is expected: straight on."""
+    """Return the predicted path, straight ahead."""
     state = state_at(stamp_ns)
     step = 0.1 * SPEED * np.arange(1, PREDICTED + 1)
     x, y = state.x + step * math.cos(state.yaw), state.y + step * math.sin(state.yaw)
@@ -138,8 +138,8 @@ def make_bag(folder: Path, minutes: float, start: float = 1.0) -> Path:
     """Write the bag of a drive: odometry at 50 Hz, a tick at 10 Hz, all topics of the contract.
 
     Args:
-        folder: Of the bag.
-        minutes: Of driving.
+        folder: Folder of the bag.
+        minutes: Duration of the drive.
         start: First stamp [s]; the last 5 s of each ten minutes are faulty.
     """
     rng, begin = np.random.default_rng(0), round(start * NANOSECONDS)
@@ -153,7 +153,7 @@ def make_bag(folder: Path, minutes: float, start: float = 1.0) -> Path:
 
         write(once(begin), begin)
         steps = range(begin, begin + round(minutes * 60 * NANOSECONDS), ODOM_NS)
-        for stamp_ns in track(steps, "making the bag"):
+        for stamp_ns in track(steps, "writing the bag"):
             write(measured(stamp_ns), stamp_ns)
             if (stamp_ns - begin) % PERIOD_NS == 0:
                 write(ticked(stamp_ns, rng), stamp_ns)
@@ -162,9 +162,9 @@ def make_bag(folder: Path, minutes: float, start: float = 1.0) -> Path:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make the bag, report it in a process of its own, print what that took."""
+    """Write the bag, report it in a separate process, and print time and memory."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0, help="of driving")
+    parser.add_argument("--minutes", type=float, default=60.0, help="duration of the drive")
     parser.add_argument("--output", type=Path, help="new folder; default: a temporary one")
     chosen, console = parser.parse_args(arguments), Console(highlight=False)
     folder = chosen.output or Path(tempfile.mkdtemp())

@@ -1,4 +1,4 @@
-"""Part (a): the exact solver alone, and the whole tick, against what users would take instead."""
+"""The exact solver alone and the whole tick, compared with other tools."""
 
 import math
 from collections.abc import Sequence
@@ -9,57 +9,63 @@ import numpy as np
 from ampc_msgs_config.types import Array
 from tests.workshop.bench.bench_ours import GAINS, qp_inside
 from tests.workshop.bench.bench_problems import KINDS, Problem, problems
-from tests.workshop.bench.bench_qp import SOLVERS, Solver, daqp_inside, installed, missing
-from tests.workshop.bench.bench_reference import WRONG
+from tests.workshop.bench.bench_qp import (
+    SOLVERS,
+    WRONG,
+    Solver,
+    daqp_inside,
+    installed,
+    missing,
+)
 from tests.workshop.bench.bench_report import Row, Section
 from tests.workshop.bench.bench_ticks import whole_ticks
 from tests.workshop.bench.bench_timing import Entrant, Timing, interleaved, statistics, timing_cells
 
 REPEATS = 50
-"""Solutions that one call inside compiled code finds."""
+"""Number of solutions of one call inside compiled code."""
 INSIDE, OWN_CLOCK = "ours, inside the compiled tick", "DAQP, by its own clock"
 SHARES = ("wrong in all [%]", "move off [%]", "no answer [%]", "infeasible undetected [%]")
 
 
 def measure(*, quick: bool) -> list[Section]:
-    """Give the tables of this part."""
+    """Return the tables of this part."""
     count, rounds = (4, 2) if quick else (100, 30)
     return [*qp_alone(problems(count), rounds), whole_ticks(count, rounds)]
 
 
 def qp_alone(task: Sequence[Problem], rounds: int) -> list[Section]:
-    """Measure solvers on the same programmes."""
+    """Measure all solvers on the same problems."""
     solvers = [solver for solver in SOLVERS if installed(solver.package)]
     calls = {solver.name: [solver.prepare(p.qp) for p in task] for solver in solvers}
-    verdicts = {name: verdict(task, [call() for call in calls[name]]) for name in calls}
+    shares = {name: wrong_shares(task, [call() for call in calls[name]]) for name in calls}
     few = max(1, rounds // 10)
     entrants = {s.name: Entrant(calls[s.name], few if s.slow else rounds) for s in solvers}
     entrants[INSIDE] = Entrant([qp_inside(p.qp, REPEATS) for p in task], rounds)
     times = interleaved(entrants)
     times[INSIDE] /= REPEATS
     timings = {name: statistics(t) for name, t in times.items()}
-    rows = [qp_row(s, timings[s.name], timings["DAQP"], verdicts[s.name]) for s in solvers]
+    rows = [qp_row(s, timings[s.name], timings["DAQP"], shares[s.name]) for s in solvers]
     rows.append(inside_row(INSIDE, "active_set, no call from Python", timings))
     timings[OWN_CLOCK] = statistics(daqp_inside([p.qp for p in task], few))
     rows.append(inside_row(OWN_CLOCK, "its setup_time + solve_time, no call from Python", timings))
     return [
-        Section("qp", "QP alone", note_on_programmes(task), rows),
-        Section("qp_kinds", "QP alone, medians by kind of programme", "", by_kind(task, times)),
+        Section("qp", "QP alone", note_on_problems(task), rows),
+        Section("qp_kinds", "QP alone, medians by kind of problem", "", by_kind(task, times)),
     ]
 
 
-def note_on_programmes(task: Sequence[Problem]) -> str:
-    """Say what all have to do."""
+def note_on_problems(task: Sequence[Problem]) -> str:
+    """Return the conditions of the measurement."""
     return (
-        f"{len(task) // len(KINDS)} programmes of each kind ({', '.join(KINDS)}), all from closed "
-        f"loops of {GAINS[:3]}. Timed is one call on matrices that already have the form which the "
-        "solver wants. Wrong: first move off by more than 1 mrad, no answer, or an infeasible "
-        f"programme not detected. References: error below {max(p.doubt for p in task):.0e} rad. "
+        f"{len(task) // len(KINDS)} quadratic programs of each kind ({', '.join(KINDS)}), all from "
+        f"closed loops of {GAINS[:3]}. Timed is one call on matrices in the form that the "
+        "solver needs. Wrong: first move off by more than 1 mrad, no answer, or an infeasible "
+        f"problem not detected. References: error below {max(p.doubt for p in task):.0e} rad. "
     ) + missing({solver.package for solver in SOLVERS})
 
 
 def by_kind(task: Sequence[Problem], times: dict[str, Array]) -> list[Row]:
-    """Give the medians [us] of each kind of programme."""
+    """Return the medians of each kind of problem [us]."""
     rows: list[Row] = []
     for kind in KINDS:
         of = [i for i, problem in enumerate(task) if problem.kind == kind]
@@ -69,8 +75,8 @@ def by_kind(task: Sequence[Problem], times: dict[str, Array]) -> list[Row]:
     return rows
 
 
-def verdict(task: Sequence[Problem], answers: Sequence[Any]) -> Row:
-    """Give the shares of wrong answers [%]."""
+def wrong_shares(task: Sequence[Problem], answers: Sequence[Any]) -> Row:
+    """Return the shares of wrong answers [%]."""
     wrong, silent, undetected = 0, 0, 0
     for problem, x in zip(task, answers, strict=True):
         if math.isnan(problem.move):
@@ -85,11 +91,11 @@ def verdict(task: Sequence[Problem], answers: Sequence[Any]) -> Row:
 
 
 def qp_row(solver: Solver, timing: Timing, daqp: Timing, shares: Row) -> Row:
-    """Give one row of the first table."""
+    """Return one row of the first table."""
     return {"solver": solver.name, "timed": solver.call, **timing_cells(timing, daqp), **shares}
 
 
 def inside_row(name: str, timed: str, timings: dict[str, Timing]) -> Row:
-    """Give a row without the way from Python to the solver and back; answers are judged above."""
+    """Return a row of durations without the call from Python and without answers of its own."""
     cells = timing_cells(timings[name], timings["DAQP"])
     return {"solver": name, "timed": timed, **cells, **dict.fromkeys(SHARES)}

@@ -1,4 +1,4 @@
-"""Part (a), the whole tick: our controller against the same one built with other tools."""
+"""The whole tick: AMPC compared with the same controller built with other tools."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,55 +9,61 @@ import numpy as np
 
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.qp_assembly import StepInput
-from tests.workshop.bench.bench_mpc import Answer, casadi_qp, do_mpc_controller, numpy_daqp
+from tests.workshop.bench.bench_mpc import (
+    PROXIMAL,
+    QUIET,
+    Answer,
+    casadi_qp,
+    do_mpc_controller,
+    multiple_shooting,
+    numpy_daqp,
+)
 from tests.workshop.bench.bench_ours import (
     GAINS,
     Task,
     full_steps,
     laguerre,
-    posed,
+    qp_of,
     tick_inside,
     whole_tick,
 )
 from tests.workshop.bench.bench_problems import SCENARIOS, drive_scenario, perturbed, recorded_ticks
-from tests.workshop.bench.bench_qp import installed, missing, with_daqp
-from tests.workshop.bench.bench_reference import WRONG, exact_move
+from tests.workshop.bench.bench_qp import WRONG, exact_move, installed, missing, with_daqp
 from tests.workshop.bench.bench_report import Row, Section
-from tests.workshop.bench.bench_shooting import PROXIMAL, QUIET, multiple_shooting
 from tests.workshop.bench.bench_timing import Entrant, Timing, interleaved, statistics, timing_cells
 
 FREE = Gains(45, 45, 45, 0.0, GAINS.output_weight, GAINS.increment_weight)
-"""One increment for each step: pole 0 and as many terms as steps make L the identity."""
+"""One increment for each step: with pole 0 and N = N_c, L is the identity."""
 FIRST = Gains(45, 15, 15, 0.0, GAINS.output_weight, GAINS.increment_weight)
-"""The same for the first 15 steps, zero afterwards."""
+"""One increment for each of the first 15 steps, zero afterwards."""
 DAQP_ALONE, FULL, INSIDE = "DAQP alone", "ours, state to command", "ours, inside a fleet"
 REPEATS = 50
-"""Ticks that one call inside compiled code answers."""
+"""Number of ticks of one call inside compiled code."""
 BESIDES = {
     DAQP_ALONE: "for comparison: daqp.solve, no model",
-    INSIDE: "the same as ours, without the call from Python",
-    FULL: "besides: place on the path, set-point, gain table, memory, diagnosis (recorded ticks)",
+    INSIDE: "the same, without the call from Python",
+    FULL: "also position on the path, set-point, gain table, memory, diagnosis (recorded ticks)",
 }
 Maker = Callable[[], Answer]
 
 
 class Tool(NamedTuple):
-    """One row of the table of whole ticks."""
+    """A controller of the table of whole ticks."""
 
     name: str
     package: str
-    """That has to be installed."""
+    """Required package."""
     inside: str
-    """What a tick contains."""
+    """Description of a tick."""
     make: Maker
     gains: Gains = GAINS
-    """Of the problem that it solves."""
+    """Gains of the problem that it solves."""
     slow: bool = False
-    """Goes through the problems less often."""
+    """True for fewer repetitions."""
 
 
 def ours() -> Answer:
-    """Our tick."""
+    """Return the tick of AMPC."""
     return whole_tick(GAINS)
 
 
@@ -67,7 +73,7 @@ TOOLS = (
     Tool(
         "CasADi + DAQP, multiple shooting",
         "casadi",
-        "as its examples write it: qpsol built once, sparse, 45 states and 15 free increments; "
+        "as in its examples: qpsol built once, sparse, 45 states and 15 free increments; "
         "parameters v, x, u, r; eps_prox 1e-4",
         partial(multiple_shooting, "daqp", PROXIMAL),
         FIRST,
@@ -84,7 +90,7 @@ TOOLS = (
     Tool(
         "CasADi + DAQP, condensed",
         "casadi",
-        "by hand: qpsol built once, condensed in the Laguerre coefficients; parameters v, x, u, r",
+        "qpsol built once, condensed in the Laguerre coefficients; parameters v, x, u, r",
         partial(casadi_qp, "daqp", {}),
     ),
     Tool(
@@ -96,7 +102,7 @@ TOOLS = (
     Tool(
         "do-mpc",
         "do_mpc",
-        "expm; 45 free increments (it knows no Laguerre functions), IPOPT, default settings",
+        "expm; 45 free increments (no Laguerre functions), IPOPT, default settings",
         do_mpc_controller,
         FREE,
         slow=True,
@@ -105,14 +111,16 @@ TOOLS = (
 
 
 def whole_ticks(count: int, rounds: int) -> Section:
-    """Measure controllers built with other tools on the same ticks."""
+    """Measure all controllers on the same ticks."""
     ticks, rng = recorded_ticks(), np.random.default_rng(2)
     chosen = np.linspace(0, len(ticks) - 1, count).astype(int)
     task = [ticks[i] for i in chosen]
     task += [perturbed(tick, rng) for tick in task]
     tools = {tool.name: tool for tool in TOOLS if installed(tool.package)}
     answers = {name: tool.make() for name, tool in tools.items()}
-    right = {gains: [move(gains, tick) for tick in task] for gains in (GAINS, FIRST, FREE)}
+    right = {
+        gains: [exact_first_move(gains, tick) for tick in task] for gains in (GAINS, FIRST, FREE)
+    }
     shares = {name: share_wrong(answers[name], task, right[tools[name].gains]) for name in tools}
     few = max(1, rounds // 10)
     entrants = {
@@ -120,7 +128,7 @@ def whole_ticks(count: int, rounds: int) -> Section:
         for name, tool in tools.items()
     }
     entrants[DAQP_ALONE] = Entrant(
-        [with_daqp(posed(Task(GAINS, math.inf, tick))) for tick in task], rounds
+        [with_daqp(qp_of(Task(GAINS, math.inf, tick))) for tick in task], rounds
     )
     full = [call for name in SCENARIOS for call in full_steps(*drive_scenario(name))]
     entrants[FULL] = Entrant(2 * [full[i] for i in chosen], rounds)
@@ -135,7 +143,7 @@ def whole_ticks(count: int, rounds: int) -> Section:
 def tick_rows(
     times: Mapping[str, Timing], tools: Mapping[str, Tool], shares: Mapping[str, float]
 ) -> list[Row]:
-    """Give the rows of the table of whole ticks."""
+    """Return the rows of the table of whole ticks."""
     return [
         {
             "controller": name,
@@ -150,25 +158,25 @@ def tick_rows(
 
 
 def note_on_ticks(count: int) -> str:
-    """Say what all have to do."""
+    """Return the conditions of the measurement."""
     return (
         f"{count} ticks, half recorded, half perturbed: from speed, state, angle in force and set-"
-        "point to the first move. All: the same model, horizon 45, weights and bounds, anew in "
-        "each tick as the speed changes; wrong: more than 1 mrad off the exact answer of the "
-        "problem that the tool poses. " + missing({tool.package for tool in TOOLS})
+        "point to the first move. All: the same model, horizon 45, weights and bounds, rebuilt in "
+        "each tick because the speed changes; wrong: more than 1 mrad off the exact answer of the "
+        "problem that the tool solves. " + missing({tool.package for tool in TOOLS})
     )
 
 
-def move(gains: Gains, tick: StepInput) -> float:
-    """Right first move [rad]."""
-    return exact_move(posed(Task(gains, math.inf, tick)), laguerre(gains)[0])[0]
+def exact_first_move(gains: Gains, tick: StepInput) -> float:
+    """Return the exact first move [rad]."""
+    return exact_move(qp_of(Task(gains, math.inf, tick)), laguerre(gains)[0])[0]
 
 
 def share_wrong(answer: Answer, task: Sequence[StepInput], right: Sequence[float]) -> float:
-    """Share of wrong answers, or none given [%]."""
-    given = [answer(tick) for tick in task]
+    """Return the share of wrong or missing answers [%]."""
+    moves = [answer(tick) for tick in task]
     wrong = [
         move is None or not abs(move - exact) < WRONG
-        for move, exact in zip(given, right, strict=True)
+        for move, exact in zip(moves, right, strict=True)
     ]
     return 100.0 * float(np.mean(wrong))

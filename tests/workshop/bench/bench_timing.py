@@ -1,4 +1,4 @@
-"""Times competitors side by side, so that the load of the machine hits all alike."""
+"""Interleaved timing, so that the load of the machine affects all competitors equally."""
 
 import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from ampc_msgs_config.types import Array
 
 BLOCK = 20
-"""Calls that a competitor makes in a row before it is the next one's turn."""
+"""Number of consecutive calls of a competitor before the next one continues."""
 Call = Callable[[], object]
 
 
@@ -20,25 +20,24 @@ class Entrant(NamedTuple):
 
     calls: Sequence[Call]
     rounds: int
-    """How often it goes through them; slow ones less often."""
+    """Number of repetitions; slow competitors have fewer."""
 
 
 class Timing(NamedTuple):
     """Statistics of one competitor [us]."""
 
     median: float
-    """Of all calls."""
+    """Median of all calls."""
     p99: float
-    """Of all calls: what the solver and the machine did."""
+    """Tail of all calls, caused by solver and machine."""
     p99_of_problems: float
-    """Of the medians of each problem over the rounds: what the solver did."""
+    """Tail of the medians of each problem over the rounds, caused by the solver."""
 
 
 def interleaved(entrants: Mapping[str, Entrant]) -> dict[str, Array]:
-    """Time every call, block by block, the competitors taking turns.
+    """Time every call in blocks that alternate between the competitors.
 
-    The first call of each block is repeated and only the repetition counts: the caches then know
-    the competitor.
+    The first call of each block is repeated to warm the caches; only the repetition counts.
 
     Returns:
         Duration of each call by competitor, (rounds, problems) [us].
@@ -58,19 +57,19 @@ def interleaved(entrants: Mapping[str, Entrant]) -> dict[str, Array]:
 
 
 def durations(calls: Sequence[Call]) -> list[float]:
-    """Time calls one after the other [us]."""
+    """Return the durations of consecutive calls after one warm-up call [us]."""
     calls[0]()
-    taken = []
+    result = []
     for call in calls:
         begin = perf_counter_ns()
         call()
-        taken.append((perf_counter_ns() - begin) / 1e3)
-    return taken
+        result.append((perf_counter_ns() - begin) / 1e3)
+    return result
 
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """Keep the garbage collector from running."""
+    """Disable the garbage collector."""
     gc.collect()
     gc.disable()
     try:
@@ -80,7 +79,7 @@ def no_collection() -> Iterator[None]:
 
 
 def statistics(times: Array) -> Timing:
-    """Sum durations (rounds, problems) up."""
+    """Return the statistics of durations (rounds, problems)."""
     per_problem = np.median(times, axis=0)
     return Timing(
         float(np.median(times)),
@@ -90,7 +89,7 @@ def statistics(times: Array) -> Timing:
 
 
 def timing_cells(timing: Timing, unit: Timing) -> dict[str, float]:
-    """Give medians, tails and ratios."""
+    """Return medians, tails and ratios as cells of a table."""
     return {
         "median [us]": timing.median,
         "p99 [us]": timing.p99,

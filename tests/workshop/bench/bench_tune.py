@@ -1,6 +1,6 @@
-"""What tuning costs: linear in nodes, particles, plants and simulated time; and on more threads.
+"""Cost of tuning: growth with nodes, particles, plants and simulated time, and gain of threads.
 
-`python tests/workshop/bench/bench_tune.py` writes `bench_tune.json` and `bench_tune.png`.
+`python -m tests.workshop.bench.bench_tune` writes `bench_tune.json` and `bench_tune.png`.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from sim_vehicle.parameters import load_vehicle
 mpl.use("Agg")
 SPEEDS = (8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0)
 BASE = {"nodes": 1, "particles": 8, "plants": 7, "ticks": 70}
-"""Sizes of a generation; each is varied while the others stay here."""
+"""Sizes of a generation; one at a time is varied."""
 SIZES = {
     "nodes": (1, 2, 4, 8),
     "particles": (4, 8, 16, 32),
@@ -42,7 +42,7 @@ Times = dict[str, list[float]]
 
 
 def generation(sizes: dict[str, int]) -> list[FleetRun]:
-    """Lay out a generation: so many nodes, particles, plants, and ticks of 0.1 s each."""
+    """Prepare a generation of the given sizes, with ticks of 0.1 s."""
     vehicle = load_vehicle(find("vehicles", "paper"))
     nodes = [Node(vehicle, "preview", "robust", v) for v in SPEEDS[: sizes["nodes"]]]
     rows = np.array([GENTLE] * sizes["particles"], dtype=float)
@@ -57,7 +57,7 @@ def shortened(fleet_run: FleetRun, sizes: dict[str, int]) -> FleetRun:
 
 
 def seconds_of(expeditions: Sequence[FleetRun]) -> float:
-    """Wall time of driving a generation, one node after the other [s]."""
+    """Return the wall time of a generation, one node after the other [s]."""
     begin = perf_counter()
     for expedition in expeditions:
         run_fleet(expedition)
@@ -65,7 +65,7 @@ def seconds_of(expeditions: Sequence[FleetRun]) -> float:
 
 
 def growth(rounds: int) -> Times:
-    """Measure by axis, a median of several rounds for each of its sizes [s]."""
+    """Return the median time of several rounds for each size, by axis [s]."""
     laid = {axis: [generation(BASE | {axis: n}) for n in sizes] for axis, sizes in SIZES.items()}
     return {
         axis: np.median(
@@ -75,13 +75,13 @@ def growth(rounds: int) -> Times:
     }
 
 
-def exponents(times: Times) -> dict[str, float]:
-    """Powers with which the time grows, by axis: 1 is linear."""
+def growth_exponents(times: Times) -> dict[str, float]:
+    """Return the exponent of the growth of time, by axis: 1 is linear."""
     return {a: float(np.polyfit(np.log(SIZES[a]), np.log(times[a]), 1)[0]) for a in times}
 
 
 def gain_of_threads(count: int, rounds: int) -> float:
-    """How many times faster so many threads evaluate a generation: the median of ratios."""
+    """Return the speed-up of a number of threads: the median of the ratios."""
     vehicle = load_vehicle(find("vehicles", "paper"))
     nodes = [Node(vehicle, "preview", "robust", v) for v in SPEEDS]
     rows = np.array([GENTLE] * 8, dtype=float)
@@ -99,9 +99,9 @@ def _seconds(nodes: Sequence[Node], rows: Array, count: int) -> float:
 
 
 def draw(times: Times, file: Path) -> None:
-    """Draw time over size, relative to the smallest of each axis, beside the straight line."""
+    """Draw time over size, relative to the smallest size, and the linear growth."""
     figure = Figure(figsize=(7, 5), layout="constrained", dpi=110)
-    ax, powers = figure.subplots(), exponents(times)
+    ax, powers = figure.subplots(), growth_exponents(times)
     ax.loglog((1, 8), (1, 8), color="#CCCCCC", linewidth=6, label="linear")
     for (axis, values), (color, marker, line) in zip(times.items(), STYLES, strict=True):
         label = f"{axis}, from {SIZES[axis][0]}: ~ size^{powers[axis]:.2f}"
@@ -118,24 +118,24 @@ def draw(times: Times, file: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, show, write."""
+    """Measure, print and write the results; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/bench_tune"), help="folder")
-    parser.add_argument("--rounds", type=int, default=9, help="of which the medians are taken")
+    parser.add_argument("--rounds", type=int, default=9, help="number of rounds for the medians")
     chosen, console = parser.parse_args(arguments), Console(highlight=False)
     growth(1)  # compiles
     times, cores = growth(chosen.rounds), os.cpu_count() or 1
     gain = gain_of_threads(2, chosen.rounds)
-    table = Table("axis", "sizes", "time [ms]", "grows as", box=SIMPLE_HEAD)
-    for axis, power in exponents(times).items():
+    table = Table("axis", "sizes", "time [ms]", "growth", box=SIMPLE_HEAD)
+    for axis, power in growth_exponents(times).items():
         milliseconds = ", ".join(f"{1000 * time:.1f}" for time in times[axis])
         table.add_row(axis, ", ".join(map(str, SIZES[axis])), milliseconds, f"size^{power:.2f}")
     console.print(table)
-    console.print(f"two threads are {gain:.2f} times as fast as one; {cores} cores")
-    found: dict[str, Any] = {"base": BASE, "sizes": SIZES, "seconds": times, "cores": cores}
-    found |= {"exponents": exponents(times), "two_threads_over_one": gain}
+    console.print(f"speed-up of two threads: {gain:.2f}; {cores} cores")
+    content: dict[str, Any] = {"base": BASE, "sizes": SIZES, "seconds": times, "cores": cores}
+    content |= {"exponents": growth_exponents(times), "two_threads_over_one": gain}
     chosen.output.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(found, indent=1) + "\n"
+    text = json.dumps(content, indent=1) + "\n"
     (chosen.output / "bench_tune.json").write_text(text, encoding="utf-8")
     draw(times, chosen.output / "bench_tune.png")
     console.print(f"written to {chosen.output}")

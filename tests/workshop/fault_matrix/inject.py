@@ -1,10 +1,9 @@
-"""Inject faults between car and controller: what does each of them cost, and does the car recover?
+"""Fault matrix: drive every fault on every road, and measure error and recovery.
 
-`python tests/workshop/fault_matrix/inject.py` drives every fault on every road, in real time but
-computed, and leaves a table, JSON, Markdown and a heat map in `runs/faults`. Nobody obeys the
-request to stop, so the car drives on at full speed: the harder case; `--obey` brakes. The exit
-code is 0, 1 where a car is lost or does not recover though it could have, and 2 where an option is
-wrong.
+`python -m tests.workshop.fault_matrix.inject` simulates the timing of the nodes and writes a table,
+JSON, Markdown and a heat map to `runs/faults`. By default the driver ignores the stop request and
+keeps the full speed, which is the harder case; with `--obey` he brakes. Exit code 0: every car
+recovers or may be lost for a stated reason; 1: one does not; 2: wrong option.
 """
 
 import argparse
@@ -24,15 +23,15 @@ from launch_scripts.faults.schedule import SEED
 from tests.workshop.acceptance.trials import DATA
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT, SCENARIOS, Case, load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course
-from tests.workshop.fault_matrix.inject_report import Report, table_of, write
+from tests.workshop.fault_matrix.inject_report import FaultReport, screen_table, write_report
 
 WIDTH = 160
-"""Of the printed table, at least [characters]."""
+"""Minimum width of the printed table [characters]."""
 FAILED, WRONG = 1, 2
 """Exit codes."""
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -44,43 +43,48 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
         f"{', '.join(SCENARIOS)}, a shipped scenario, YAML or CSV; default: these {len(roads())}"
     )
     add("--scenarios", nargs="+", metavar="ROAD", default=roads(), help=names)
-    text = "who steers; default: %(default)s"
+    text = "controller; default: %(default)s"
     add("--controller", choices=CONTROLLERS, default=default.controller, help=text)
-    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
-    text = "limits of the guard: the default clips only what no car can do; default: %(default)s"
+    add("--vehicle", default=default.vehicle, help="vehicle; default: %(default)s")
+    text = "limits of the guard; default: %(default)s, which clips only what no car can do"
     add("--guard", default=default.guard, help=text)
-    add("--seed", type=int, default=default.seed, help="of all chance; default: %(default)s")
+    add(
+        "--seed",
+        type=int,
+        default=default.seed,
+        help="seed of all random numbers; default: %(default)s",
+    )
     add("--obey", action="store_true", help="the driver brakes when a stop is requested")
     add("--output", type=Path, default=Path("runs/faults"), help="folder; default: %(default)s")
     return parser.parse_args(arguments)
 
 
 def roads() -> list[str]:
-    """Name the roads that are there: the circuit is no part of this repository."""
+    """Return the available roads; the circuit is not part of this repository."""
     there = (DATA / "tracks" / f"{CIRCUIT}.csv").is_file()
     return [name for name in SCENARIOS if name != CIRCUIT or there]
 
 
 def cases_of(names: Sequence[str]) -> list[Case]:
-    """Choose faults by name.
+    """Return the faults of these names; all faults without names.
 
     Raises:
-        ValueError: One is unknown.
+        ValueError: A name is unknown.
     """
-    known = {case.name: case for case in CASES}
+    by_name = {case.name: case for case in CASES}
     for name in names:
-        if name not in known:
-            raise ValueError(f"--faults: {name!r} must be one of {', '.join(known)}")
-    return [known[name] for name in names] or list(CASES)
+        if name not in by_name:
+            raise ValueError(f"--faults: {name!r} must be one of {', '.join(by_name)}")
+    return [by_name[name] for name in names] or list(CASES)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, show, write; gives the exit code."""
-    chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    command = f"python tests/workshop/fault_matrix/inject.py {shlex.join(given)}".strip()
+    """Run the command and return its exit code."""
+    chosen, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    command = f"python -m tests.workshop.fault_matrix.inject {shlex.join(words)}".strip()
     try:
-        report = run(chosen, command, console)
+        report = run_matrix(chosen, command, console)
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
@@ -88,11 +92,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return FAILED if failed else 0
 
 
-def run(chosen: argparse.Namespace, command: str, console: Console) -> Report:
-    """Do what is asked for.
+def run_matrix(chosen: argparse.Namespace, command: str, console: Console) -> FaultReport:
+    """Drive all cells, print and write the report.
 
     Raises:
-        ValueError: In one sentence what is wrong.
+        ValueError: Names option, value and bound.
     """
     check_range("--seed", chosen.seed, SEED)
     conditions = Conditions(*(getattr(chosen, field) for field in Conditions._fields))
@@ -105,10 +109,10 @@ def run(chosen: argparse.Namespace, command: str, console: Console) -> Report:
         make_folder(chosen.output)
     courses = [bench.course(scenario) for scenario in scenarios]
     cells = drive_all(bench, cases, courses, console)
-    report = Report(command, conditions, courses, [case.name for case in cases], cells)
+    report = FaultReport(command, conditions, courses, [case.name for case in cases], cells)
     console.width = max(console.width, WIDTH)
-    console.print(table_of(report))
-    write(report, chosen.output)
+    console.print(screen_table(report))
+    write_report(report, chosen.output)
     console.print(f"faults.json, .md and .png: {chosen.output}", markup=False)
     return report
 
@@ -116,7 +120,7 @@ def run(chosen: argparse.Namespace, command: str, console: Console) -> Report:
 def drive_all(
     bench: Bench, cases: Sequence[Case], courses: Sequence[Course], console: Console
 ) -> list[Cell]:
-    """Drive all cells."""
+    """Drive all cells with a progress bar."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     pairs = [(case, course) for case in cases for course in courses]
     with Progress(*columns, TimeElapsedColumn(), console=console) as bar:

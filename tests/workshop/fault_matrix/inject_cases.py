@@ -1,4 +1,4 @@
-"""What is injected, where, and what no controller could survive: data."""
+"""Faults and roads of the fault matrix, and losses that no controller can avoid."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +14,11 @@ from launch_scripts.faults.schedule import Fault
 from tests.workshop.acceptance.trials import DATA, LIMITS
 
 RUN_ON = 5.0
-"""By which shipped drives are longer here, on the straight that follows their path [s]."""
+"""Extension of the shipped drives, on the straight after their path [s]."""
 LONGEST = 45.0
-"""Of a drive [s]."""
+"""Longest duration of a drive [s]."""
 OFFSET = "straight_3m"
-"""The straight road, joined from 3 m beside it."""
+"""Name of the straight road that is joined from 3 m."""
 CIRCUIT = "Oschersleben"
 SCENARIOS = ("sc1", "sc2", "sc3_varying", "sc3_wind", "circle", "sine", OFFSET, CIRCUIT)
 
@@ -28,13 +28,13 @@ class Case(NamedTuple):
 
     name: str
     fault: Fault
-    """It starts at 0 here; each drive has its own moment."""
+    """The fault, with start 0; each road has its own start."""
 
 
 def case(
     name: str, kind: str, duration: float, amount: float | None = None, field: str = "x"
 ) -> Case:
-    """Declare a row."""
+    """Build a row of the matrix."""
     return Case(name, Fault(kind=kind, start=0.0, duration=duration, amount=amount, field=field))
 
 
@@ -81,7 +81,7 @@ CASES = (
 
 
 class Unavoidable(NamedTuple):
-    """A loss that is no fault of the controller."""
+    """A loss that the controller cannot avoid."""
 
     case: str
     scenarios: tuple[str, ...]
@@ -92,16 +92,16 @@ UNAVOIDABLE: tuple[Unavoidable, ...] = ()
 
 
 def allowed_reason(name: str, scenario: str) -> str:
-    """Give the reason for which a cell may be lost; empty: it may not."""
-    known = (each for each in UNAVOIDABLE if each.case == name and scenario in each.scenarios)
-    return next((each.reason for each in known), "")
+    """Return the reason why a cell may be lost; empty if it may not."""
+    losses = (each for each in UNAVOIDABLE if each.case == name and scenario in each.scenarios)
+    return next((each.reason for each in losses), "")
 
 
 def load_course(name: str, size: SizeParameters) -> Scenario:
-    """Load a drive: a name of SCENARIOS, a shipped one, or a YAML or CSV file.
+    """Load a scenario by a name of SCENARIOS, a shipped name, or a YAML or CSV file.
 
     Raises:
-        ValueError: Names what is wrong.
+        ValueError: Names file, key, value and bound.
     """
     if name == CIRCUIT or name.endswith(".csv"):
         file = DATA / "tracks" / f"{name}.csv" if name == CIRCUIT else Path(name)
@@ -116,7 +116,7 @@ def load_course(name: str, size: SizeParameters) -> Scenario:
 
 
 def mirrored(scenario: Scenario) -> Scenario:
-    """Give the same drive with left and right exchanged."""
+    """Return the mirror image of a scenario."""
     return scenario._replace(
         points=scenario.points * np.array([1.0, -1.0]),
         wind=tuple(replace(wind, speed=-wind.speed) for wind in scenario.wind),

@@ -1,4 +1,4 @@
-"""The cells of the fault matrix: one fault on one road, and what became of the car."""
+"""Cells of the fault matrix: one fault on one road, with error and recovery of the car."""
 
 import math
 from collections import Counter
@@ -20,19 +20,19 @@ from tests.workshop.fault_matrix.fault_loop import ODOM_NS, FaultyDrive, Log
 from tests.workshop.fault_matrix.inject_cases import Case, allowed_reason
 
 EARLIEST = 1.0
-"""When a fault starts, at least [s]."""
+"""Earliest start of a fault [s]."""
 OBSERVED = 10.0
-"""Time after a fault of 3 s that each drive has left, at least [s]."""
+"""Minimum remaining time of a drive after a fault of 3 s [s]."""
 NEAR, EXTRA = 0.1, 0.05
-"""A car has recovered within NEAR of its path, or EXTRA more than without the fault [m]."""
+"""A car has recovered within NEAR of its path, or within EXTRA of its error without fault [m]."""
 STANDING = 0.3
-"""Speed below which a car is safe where it is: the steering holds [m/s]."""
+"""Speed below which a car counts as safe: the steering is held [m/s]."""
 SETTLED = 0.5
-"""For how long at the end of the drive [s]."""
+"""Minimum duration of the recovered state at the end of the drive [s]."""
 
 
 class Conditions(NamedTuple):
-    """What all cells share."""
+    """Settings of all cells."""
 
     controller: str = "preview"
     vehicle: str = "paper"
@@ -42,63 +42,63 @@ class Conditions(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A road, with the drive without a fault."""
+    """A road, and the drive without a fault."""
 
     scenario: Scenario
     start: float
-    """Of each fault: where the lateral acceleration is largest [s]."""
+    """Start of each fault, where the lateral acceleration is largest [s]."""
     free: Log
 
 
 class Cell(NamedTuple):
-    """One fault on one road."""
+    """Result of one fault on one road."""
 
     case: str
     scenario: str
     max_error: float
-    """From the start of the fault on [m]."""
+    """Largest cross-track error after the start of the fault [m]."""
     free_error: float
-    """The same without the fault [m]."""
+    """Largest cross-track error without the fault [m]."""
     recovery: float
-    """From the end of the fault; nan: not in this drive [s]."""
+    """Time to recover from the end of the fault; NaN: not recovered [s]."""
     lost_after: float
-    """First time farther than LOST from the path; nan: never [s]."""
+    """First time with an error above LOST; NaN: never [s]."""
     rungs: dict[str, float]
-    """Time on each rung, from the start of the fault on [s]."""
+    """Time in each fallback after the start of the fault [s]."""
     reasons: tuple[str, ...]
     rejected: dict[str, int]
-    """Inputs, by cause."""
+    """Number of rejected inputs by cause."""
     clips: dict[str, int]
-    """By the guard, by limit."""
+    """Number of clipped commands by limit."""
     resets: int
     missed: int
     stop_requested: bool
     allowed_reason: str
-    """Why it may be lost; empty: it may not."""
+    """Reason why the car may be lost; empty if it may not."""
 
     @property
     def kept(self) -> bool:
-        """Whether the car was never lost, and came back to its path."""
+        """True if the car was never lost and has recovered."""
         return math.isnan(self.lost_after) and not math.isnan(self.recovery)
 
     @property
     def fails(self) -> bool:
-        """Whether this must not be."""
+        """True if the result is not allowed."""
         return not (self.kept or self.allowed_reason)
 
     @property
     def outcome(self) -> str:
-        """What became of the car, in a word or two."""
+        """Outcome as short text: time of loss, not recovered, or time of recovery."""
         if not math.isnan(self.lost_after):
             return f"lost at {self.lost_after:.1f} s"
         return "not recovered" if math.isnan(self.recovery) else f"{self.recovery:.1f} s"
 
 
 class Bench:
-    """Car and controller, made anew for each drive."""
+    """Car and controller, created for each drive."""
 
     def __init__(self, conditions: Conditions) -> None:
-        """Read both.
+        """Load vehicle and configuration.
 
         Raises:
             ValueError: A name is unknown, or a file is missing or wrong.
@@ -110,7 +110,7 @@ class Bench:
         )
 
     def drive(self, scenario: Scenario, faults: tuple[Fault, ...]) -> FaultyDrive:
-        """Give a drive at its start."""
+        """Return a drive at its start."""
         return FaultyDrive(
             Simulation(self.vehicle, scenario),
             Supervisor(self.config),
@@ -119,13 +119,13 @@ class Bench:
         )
 
     def log(self, scenario: Scenario, *faults: Fault) -> Log:
-        """Drive to the end."""
+        """Drive to the end and return the log."""
         drive = self.drive(scenario, faults)
         drive.run(scenario.duration)
         return drive.log()
 
     def course(self, scenario: Scenario) -> Course:
-        """Drive without a fault, and find the moment that is worst for one.
+        """Drive without a fault, and find the time of the largest lateral acceleration.
 
         Raises:
             ValueError: The controller cannot take the path.
@@ -133,21 +133,21 @@ class Bench:
         free = self.log(scenario)
         if len(free.ticks) < 2:
             name = self.conditions.controller
-            raise ValueError(f"--scenarios {scenario.name}: {name} refuses this path")
+            raise ValueError(f"--scenarios {scenario.name}: {name} cannot take this path")
         latest = max(scenario.duration - 3.0 - OBSERVED, EARLIEST)
         allowed = (free.time >= EARLIEST) & (free.time <= latest)
         worst = int(np.argmax(np.where(allowed, np.abs(np.round(free.swing, 6)), -1.0)))
         return Course(scenario, round(float(free.time[worst]), 1), free)
 
     def cell(self, case: Case, course: Course) -> Cell:
-        """Drive with a fault, and judge."""
+        """Drive with a fault and evaluate the drive."""
         fault = replace(case.fault, start=course.start)
         log = self.log(course.scenario, fault)
-        return judge(case.name, course, fault, log)
+        return evaluate_cell(case.name, course, fault, log)
 
 
-def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
-    """Say what became of a car."""
+def evaluate_cell(name: str, course: Course, fault: Fault, log: Log) -> Cell:
+    """Evaluate a drive with a fault."""
     since = log.time >= fault.start
     error, free = np.abs(log.error[since]), np.abs(course.free.error[since])
     gone = ~(error <= LOST)
@@ -174,7 +174,7 @@ def judge(name: str, course: Course, fault: Fault, log: Log) -> Cell:
 
 
 def recovery(log: Log, free: Log, end: float) -> float:
-    """Give the time from the end of a fault until all is well for good; nan: it is not [s]."""
+    """Return the time from the end of a fault to the final recovery; NaN: not recovered [s]."""
     moves = log.speed > STANDING
     bad = moves & ~(np.abs(log.error) <= np.maximum(NEAR, np.abs(free.error) + EXTRA))
     low = [tick.time for tick in log.ticks if tick.record.command.rung != OPTIMAL]
@@ -183,5 +183,5 @@ def recovery(log: Log, free: Log, end: float) -> float:
 
 
 def after(last: float, end: float) -> float:
-    """Give the time from the end of a fault to the first good state [s]."""
+    """Return the time from the end of a fault to the first state without error [s]."""
     return 0.0 if last <= end else last - end + ODOM_NS / NANOSECONDS

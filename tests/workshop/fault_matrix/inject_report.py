@@ -1,4 +1,4 @@
-"""The fault matrix as a table for the terminal, as Markdown, JSON and a heat map."""
+"""Reports of the fault matrix: terminal, Markdown, JSON and heat map."""
 
 import json
 import math
@@ -22,22 +22,22 @@ from tests.workshop.fault_matrix.inject_cases import CASES
 from tests.workshop.fault_matrix.inject_cells import EXTRA, NEAR, Cell, Conditions, Course
 
 MARGIN = 3.4
-"""Of the heat map, for the names of the faults [inch]."""
+"""Margin of the heat map for the names of the faults [inch]."""
 COLORS = 96
-"""Of the picture."""
+"""Number of colours of the picture."""
 FINEST = 0.01
-"""Smaller errors have one colour [m]."""
+"""Error below which all cells have the same colour [m]."""
 
 
-class Report(NamedTuple):
-    """All that was driven."""
+class FaultReport(NamedTuple):
+    """All results of a run."""
 
     command: str
     conditions: Conditions
     courses: Sequence[Course]
     cases: Sequence[str]
     cells: Sequence[Cell]
-    """Case after case, the roads of each in order."""
+    """Cells ordered by case, then by road."""
 
     @property
     def roads(self) -> list[str]:
@@ -45,17 +45,17 @@ class Report(NamedTuple):
         return [course.scenario.name for course in self.courses]
 
     def rows(self) -> Iterator[tuple[str, Sequence[Cell]]]:
-        """Give each case with its cells."""
+        """Yield each case with its cells."""
         count = len(self.courses)
         for i, case in enumerate(self.cases):
             yield case, self.cells[i * count : (i + 1) * count]
 
 
-def shared(conditions: Conditions) -> str:
-    """Say in words what all cells share."""
+def describe_conditions(conditions: Conditions) -> str:
+    """Return the settings of all cells as text."""
     vehicle = Path(conditions.vehicle).stem
     driver = (
-        "the driver brakes when asked to" if conditions.obey else "nobody obeys the stop request"
+        "the driver obeys the stop request" if conditions.obey else "the stop request is ignored"
     )
     return (
         f"{conditions.controller}, vehicle {vehicle}, guard {Path(conditions.guard).stem}, "
@@ -64,33 +64,33 @@ def shared(conditions: Conditions) -> str:
 
 
 def legend() -> str:
-    """Say what the numbers are."""
+    """Return the meaning of the numbers."""
     return (
-        "largest cross-track error from the start of the fault on [m], and time from its end until "
+        "largest cross-track error after the start of the fault [m], and time from its end until "
         f"the car is within {NEAR:g} m of its path (or {EXTRA:g} m more than without the fault) "
-        f"and steered by the top of the ladder for good; lost: more than {LOST:g} m off the path"
+        f"and steered by the optimal plan permanently; lost: error above {LOST:g} m"
     )
 
 
 def summary(cell: Cell) -> str:
-    """Give error and recovery."""
+    """Return error and recovery as text."""
     return f"{cell.max_error:.2f} m, {cell.outcome}" if cell.kept else cell.outcome
 
 
-def remarks(report: Report) -> list[str]:
-    """Say which cells are no recovery, and why."""
+def remarks(report: FaultReport) -> list[str]:
+    """Return the cells without recovery, and why they are allowed."""
     return [
         f"{cell.case}, {cell.scenario}: {cell.outcome}, largest error {cell.max_error:.2f} m: "
-        f"{cell.allowed_reason or 'must not be'}"
+        f"{cell.allowed_reason or 'not allowed'}"
         for cell in report.cells
         if not cell.kept
     ]
 
 
-def table_of(report: Report) -> Table:
-    """Lay the matrix out for the terminal."""
+def screen_table(report: FaultReport) -> Table:
+    """Format the matrix for the terminal."""
     caption = "\n".join([legend(), *remarks(report)])
-    table = Table(title=Text(shared(report.conditions)), caption=Text(caption))
+    table = Table(title=Text(describe_conditions(report.conditions)), caption=Text(caption))
     table.title_justify = table.caption_justify = "left"
     table.add_column("fault", no_wrap=True)
     for road in report.roads:
@@ -103,7 +103,7 @@ def table_of(report: Report) -> Table:
 
 
 def _free(course: Course) -> float:
-    """Largest error without a fault, from where the faults begin [m]."""
+    """Return the largest error without a fault, after the start of the faults [m]."""
     log = course.free
     return float(abs(log.error[log.time >= course.start]).max())
 
@@ -112,22 +112,31 @@ def _style(cell: Cell) -> str:
     return "red" if cell.fails else "yellow" if not cell.kept else ""
 
 
-def markdown(report: Report) -> str:
-    """Write matrices and causes."""
+def report_markdown(report: FaultReport) -> str:
+    """Return the matrix and the reactions as Markdown."""
     cells = report.cells
     lines = [
         "# Faults and scenarios",
         "",
-        f"`{report.command}`: {shared(report.conditions)}; AMPC for ROS 2 {__version__}. "
-        f"{len(report.cases)} faults on {len(report.courses)} roads. Each fault starts where the "
-        "road asks for the largest lateral acceleration. "
+        f"`{report.command}`: {describe_conditions(report.conditions)}; "
+        f"AMPC for ROS 2 {__version__}. {len(report.cases)} faults on "
+        f"{len(report.courses)} roads. Each fault starts where lateral acceleration is largest. "
         f"{sum(each.kept for each in cells)} of {len(cells)} cells recover, "
         f"{sum(each.fails for each in cells)} fail.",
     ]
-    said = remarks(report)
-    lines += ["", "## Not recovered", "", *(f"* {line}" for line in said)] if said else []
+    unrecovered = remarks(report)
+    lines += (
+        ["", "## Not recovered", "", *(f"* {line}" for line in unrecovered)] if unrecovered else []
+    )
     lines += ["", "## Error and recovery", "", f"{legend().capitalize()}.", "", *_matrix(report)]
-    lines += ["", "## What was seen", "", "All roads together.", "", *_seen(report)]
+    lines += [
+        "",
+        "## Reactions of the controller",
+        "",
+        "Sum over all roads.",
+        "",
+        *_reactions(report),
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -135,7 +144,7 @@ def _row(texts: Sequence[str]) -> str:
     return "| " + " | ".join(texts) + " |"
 
 
-def _matrix(report: Report) -> Iterator[str]:
+def _matrix(report: FaultReport) -> Iterator[str]:
     yield _row(["fault", *report.roads])
     yield "|---" + "|---:" * len(report.roads) + "|"
     yield _row(["start of the fault", *(f"{course.start:g} s" for course in report.courses)])
@@ -144,10 +153,10 @@ def _matrix(report: Report) -> Iterator[str]:
         yield _row([case, *(summary(cell) for cell in cells)])
 
 
-def _seen(report: Report) -> Iterator[str]:
-    """Give time on the rungs below the top, reasons, refused inputs and clipped commands."""
+def _reactions(report: FaultReport) -> Iterator[str]:
+    """Yield time in each fallback, reasons, rejected inputs and clipped commands."""
     below = RUNGS[1:]
-    yield _row(["fault", *(f"{rung} [s]" for rung in below), "reasons", "refused inputs", "clips"])
+    yield _row(["fault", *(f"{rung} [s]" for rung in below), "reasons", "rejected inputs", "clips"])
     yield "|---" + "|---:" * len(below) + "|---|---|---|"
     for case, cells in report.rows():
         times = [f"{sum(cell.rungs[rung] for cell in cells):.1f}" for rung in below]
@@ -165,8 +174,8 @@ def _counts(cells: Sequence[Cell], name: str) -> str:
     return ", ".join(f"{cause} {n}" for cause, n in total.most_common())
 
 
-def content(report: Report) -> dict[str, Any]:
-    """Give all numbers, and what is needed to repeat them, for JSON."""
+def report_to_json(report: FaultReport) -> dict[str, Any]:
+    """Return all results, and the settings to reproduce them, as JSON values."""
     return {
         "version": __version__,
         "command": report.command,
@@ -191,7 +200,7 @@ def _fault(case: Any) -> dict[str, Any]:
 
 
 def _cell(cell: Cell) -> dict[str, Any]:
-    """Give a cell; what is not a number is null."""
+    """Return a cell as JSON values; NaN is null."""
     values = cell._asdict() | {"kept": cell.kept}
     return {
         key: None if isinstance(value, float) and math.isnan(value) else value
@@ -199,12 +208,12 @@ def _cell(cell: Cell) -> dict[str, Any]:
     }
 
 
-def heat_map(report: Report) -> Figure:
-    """Draw the largest errors, with the times of recovery."""
+def heat_map(report: FaultReport) -> Figure:
+    """Draw a heat map of the largest errors with the times of recovery."""
     squares = [[_square(cell) for cell in cells] for _, cells in report.rows()]
     title = (
         "largest cross-track error [m] and recovery after the end of the fault [s]\n"
-        f"{shared(report.conditions)}"
+        f"{describe_conditions(report.conditions)}"
     )
     return draw(Matrix(title, report.cases, report.roads, squares, MARGIN))
 
@@ -215,16 +224,16 @@ def _square(cell: Cell) -> Square:
     return Square(f"{cell.max_error:.2f}    {cell.outcome}", max(cell.max_error, FINEST))
 
 
-def write(report: Report, folder: Path) -> None:
-    """Write all files into a folder that is there."""
-    found = json.dumps(content(report), indent=1, allow_nan=False) + "\n"
-    (folder / "faults.json").write_text(found, encoding="utf-8")
-    (folder / "faults.md").write_text(markdown(report), encoding="utf-8")
+def write_report(report: FaultReport, folder: Path) -> None:
+    """Write all files into an existing folder."""
+    text = json.dumps(report_to_json(report), indent=1, allow_nan=False) + "\n"
+    (folder / "faults.json").write_text(text, encoding="utf-8")
+    (folder / "faults.md").write_text(report_markdown(report), encoding="utf-8")
     save_png(heat_map(report), folder / "faults.png")
     reduce_colors(folder / "faults.png")
 
 
 def reduce_colors(file: Path) -> None:
-    """Write a picture again with a palette: a third of the bytes, and no difference to the eye."""
+    """Write a picture with a palette, which needs a third of the bytes."""
     with Image.open(file) as picture:
         picture.convert("RGB").quantize(COLORS).save(file, optimize=True)

@@ -1,10 +1,9 @@
-"""Throw hostile inputs at the controller: no exception, no command outside the limits.
+"""Fuzz the controller with random inputs: no exception, no command outside the limits.
 
-`python tests/workshop/fuzz/fuzz.py`, or `ros2 run launch_scripts fuzz`; `--target core --seed 2`.
-Targets: `core`, the node's core under changing configurations; `messages`, the same behind the
-functions that unpack ROS messages, a tenth as many; `guard`, checks and guard alone. The same seed
-gives the same inputs, drive by drive, on any number of workers. The exit code is 1 where a promise
-is broken; what repeats just that drive is told.
+`python -m tests.workshop.fuzz.fuzz`, for example with `--target core --seed 2`. Targets: `core`,
+the node's core with changing configurations; `messages`, the same with ROS messages, a tenth of the
+inputs; `guard`, checks and guard alone. The same seed gives the same inputs on any number of
+workers. Exit code 1: a guarantee is violated; the command that repeats the drive is printed.
 """
 
 import argparse
@@ -25,12 +24,12 @@ TARGETS: dict[str, tuple[Callable[[int, int, int], Counter[str]], float]] = {
     "guard": (guard_drive, 1.0),
     "messages": (message_drive, 0.1),
 }
-"""What is thrown at, and the share of --inputs that it gets."""
+"""Function of a target, and its share of --inputs."""
 LENGTH = 5000
-"""Inputs of a drive."""
+"""Number of inputs of a drive."""
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--target", choices=TARGETS, help="default: all")
@@ -42,23 +41,25 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def one_drive(target: str, seed: int, drive: int, count: int) -> Counter[str]:
-    """Throw the inputs of one drive.
+    """Send the inputs of one drive.
 
     Raises:
-        Violation: Tells what repeats it.
+        Violation: Its message ends with the command that repeats the drive.
     """
     try:
         return TARGETS[target][0](seed, drive, count)
     except Violation as violation:
-        again = f"tests/workshop/fuzz/fuzz.py --target {target} --seed {seed} --drive {drive}"
+        again = (
+            f"python -m tests.workshop.fuzz.fuzz --target {target} --seed {seed} --drive {drive}"
+        )
         raise Violation(f"{target}, seed {seed}, drive {drive}, {violation}\n{again}") from None
 
 
 def all_drives(target: str, chosen: argparse.Namespace, console: Console) -> Counter[str]:
-    """Throw all inputs at one target.
+    """Send all inputs to one target.
 
     Raises:
-        Violation: The first one that is found.
+        Violation: The first violation.
     """
     count = max(round(chosen.inputs * TARGETS[target][1]), 1)
     sizes = [min(LENGTH, count - begin) for begin in range(0, count, LENGTH)]
@@ -82,7 +83,7 @@ def all_drives(target: str, chosen: argparse.Namespace, console: Console) -> Cou
 
 
 def summary(done: Counter[str]) -> str:
-    """Say what was thrown, refused and answered, one kind of numbers a line."""
+    """Return the numbers of inputs, rejections and commands, one kind in each line."""
     lines: dict[str, list[str]] = {}
     for name, count in sorted(done.items()):
         lines.setdefault(name.split()[0], []).append(f"{name} {count}")
@@ -90,8 +91,8 @@ def summary(done: Counter[str]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fuzz, tell what was thrown and refused; gives 1 where a promise is broken."""
-    chosen, console = options(arguments), Console(highlight=False)
+    """Run the command and return its exit code."""
+    chosen, console = read_options(arguments), Console(highlight=False)
     try:
         for target in [chosen.target] if chosen.target else TARGETS:
             if chosen.drive is None:

@@ -1,9 +1,9 @@
-"""Checks and guard as what hostile inputs are thrown at, and what is promised of each command."""
+"""Fuzzing of input checks and guard, the random inputs, and the guarantees for each command."""
 
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,53 +14,38 @@ from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.guard import LONGEST_PAUSE, Guard
 
 PERIOD = 0.1
+"""Control period [s]."""
 SPECIAL = (math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, -5e-324, 1e-300, 1e308, -1e308, 1e9)
 SHARES = {"state": 0.45, "tick": 0.448, "steering": 0.1, "path": 0.002}
-"""Of the inputs; a path takes a thousand times as long as the others."""
+"""Shares of the inputs; a path takes a thousand times as long as the others."""
 HOSTILE = 0.1
-"""Share of the numbers that are not what a car would report."""
+"""Share of the numbers that no car would report."""
 MAX_POINTS = 60
 JUMPS = 0.01
 """Share of the inputs at which the clock jumps."""
 
 
 class Violation(Exception):
-    """A promise that was not kept."""
+    """A guarantee that was violated."""
 
 
-class Answer(NamedTuple):
-    """A command that would be published."""
+class FuzzCommand(NamedTuple):
+    """A command to publish."""
 
     steering: float
-    """[rad]."""
+    """Steering angle [rad]."""
     steering_rate: float
-    """[rad/s]."""
-
-
-class Subject(Protocol):
-    """What inputs are thrown at. Whatever is refused raises ValueError or changes nothing."""
-
-    def take_state(self, state: VehicleState, now_ns: int) -> None:
-        """Take a state that has arrived."""
-
-    def take_path(self, points: list[tuple[float, float]], now_ns: int) -> None:
-        """Take a path that has arrived."""
-
-    def take_steering(self, angle: float, now_ns: int) -> None:
-        """Take a measured road-wheel angle [rad]."""
-
-    def tick(self, now_ns: int) -> Answer | None:
-        """Give the command to publish, where there is one."""
+    """Steering rate [rad/s]."""
 
 
 class ChecksAndGuard:
-    """Checks and guard around a controller that asks for anything."""
+    """Input checks and guard around a controller with random requests."""
 
-    def __init__(self, ask: Callable[[float, float], float], limits: str) -> None:
-        """Make both for the ordinary car.
+    def __init__(self, request: Callable[[float, float], float], limits: str) -> None:
+        """Create both for the ordinary car.
 
         Args:
-            ask: Gives a number that the controller asks for, mostly near one, with a spread.
+            request: Returns a random number around a usual value with a spread.
             limits: Shipped limits of the guard, or file.
         """
         vehicle = find("vehicles", "ordinary")
@@ -68,40 +53,40 @@ class ChecksAndGuard:
         self.max_angle = load(SteeringParameters, vehicle, "steering").max_angle
         self.filter = StateFilter()
         self.guard = Guard(load(GuardLimits, find("guards", limits)), self.chassis, PERIOD)
-        self.ask, self.measured, self.last_ns = ask, math.nan, 0
+        self.request, self.measured, self.last_ns = request, math.nan, 0
 
     def take_state(self, state: VehicleState, now_ns: int) -> None:
-        """Filter a state; wherever the car is placed anew, its wheel stays where it is."""
+        """Check a state; an accepted state must be finite."""
         if self.filter.accept(state, now_ns).accepted and not all(map(math.isfinite, state)):
             raise Violation(f"{state} was accepted")
 
     def take_path(self, points: list[tuple[float, float]], now_ns: int) -> None:
-        """Check a path."""
+        """Check a path; an accepted path must be finite."""
         path = check_path(points, self.chassis, self.max_angle)
         if not all(np.isfinite(row).all() for row in path[1:5]):
             raise Violation("a path that is not finite was accepted")
 
     def take_steering(self, angle: float, now_ns: int) -> None:
-        """Remember a measured angle, whatever it is."""
+        """Store a measured angle without a check."""
         self.measured = angle
 
-    def tick(self, now_ns: int) -> Answer:
-        """Guard what the controller asks for, at the speed of the newest valid state."""
+    def tick(self, now_ns: int) -> FuzzCommand:
+        """Return the guarded request at the speed of the newest valid state."""
         track, elapsed = self.filter.track, (now_ns - self.last_ns) / NANOSECONDS
-        v_x = track.last.v_x if track else self.ask(9.0, 5.0)
-        angle, rate = self.ask(self.guard.steering, 0.03), self.ask(0.0, 0.3)
+        v_x = track.last.v_x if track else self.request(9.0, 5.0)
+        angle, rate = self.request(self.guard.steering, 0.03), self.request(0.0, 0.3)
         self.last_ns = now_ns
-        return Answer(*self.guard.step(angle, rate, v_x, self.measured, elapsed)[:2])
+        return FuzzCommand(*self.guard.step(angle, rate, v_x, self.measured, elapsed)[:2])
 
 
 class Inputs:
-    """A seeded source of inputs: a car that drives on, disturbed by all that can go wrong."""
+    """Seeded random inputs: a driving car with faults of all kinds."""
 
     def __init__(self, seed: int | Sequence[int], jumps: float = JUMPS) -> None:
-        """Begin a drive.
+        """Start a drive.
 
         Args:
-            seed: Of all that follows.
+            seed: Seed of all inputs.
             jumps: Share of the inputs at which the clock jumps.
         """
         self.rng, self.jumps = np.random.default_rng(seed), jumps
@@ -109,7 +94,7 @@ class Inputs:
         self.state = VehicleState(self.now_ns, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)
 
     def number(self, usual: float, spread: float) -> float:
-        """Give a number near the usual one, or a hostile one."""
+        """Return a number near the usual one, or an extreme one."""
         if self.rng.random() >= HOSTILE:
             return usual + spread * float(self.rng.standard_normal())
         if self.rng.random() < 0.5:
@@ -117,7 +102,7 @@ class Inputs:
         return float(self.rng.uniform(-1.0, 1.0) * 10.0 ** self.rng.uniform(-10.0, 10.0))
 
     def time(self) -> int:
-        """Let the clock go on, jump ahead or jump back, and give its time [ns]."""
+        """Advance the clock, or let it jump, and return its time [ns]."""
         step = (
             0.02
             if self.rng.random() >= self.jumps
@@ -127,7 +112,7 @@ class Inputs:
         return self.now_ns
 
     def next_state(self) -> VehicleState:
-        """Drive on; half of the states are reported as they are."""
+        """Advance the car and return its state; half of the states are changed randomly."""
         dt = min(max((self.now_ns - self.state.stamp_ns) / NANOSECONDS, 0.0), 1.0)
         x, y, yaw, v, _, turn = self.state[1:]
         x, y, yaw = x + v * math.cos(yaw) * dt, y + v * math.sin(yaw) * dt, yaw + turn * dt
@@ -140,7 +125,7 @@ class Inputs:
         return VehicleState(stamp_ns, *(self.number(value, 0.1) for value in self.state[1:]))
 
     def path(self) -> list[tuple[float, float]]:
-        """Give points of a winding road; a third of them hostile."""
+        """Return the points of a winding road; a third of the roads have extreme points."""
         count = int(self.rng.integers(0, MAX_POINTS))
         spacing, bend = self.rng.uniform(0.05, 15.0), self.rng.normal(0.0, 0.02)
         s = spacing * np.arange(count)
@@ -154,84 +139,86 @@ class Inputs:
         return [(x, y) for x, y in points]
 
 
-class Promises:
-    """What is expected of every command."""
+class Guarantees:
+    """Guarantees for every command."""
 
     def __init__(self, limits: str) -> None:
-        """Read the limits."""
+        """Load the limits."""
         self.limits = load(GuardLimits, find("guards", limits))
         self.last = 0.0
 
-    def check(self, answer: Answer) -> None:
-        """Raise a Violation unless a command is finite, inside its limits, and moves slowly."""
+    def check(self, command: FuzzCommand) -> None:
+        """Raise a Violation unless a command is finite and within angle, rate and step limits."""
         most, rate = max(self.limits.max_angle), max(self.limits.max_rate)
-        steering, last, self.last = answer.steering, self.last, answer.steering
-        if not all(map(math.isfinite, answer)):
-            raise Violation(f"command {answer} is not finite")
+        steering, last, self.last = command.steering, self.last, command.steering
+        if not all(map(math.isfinite, command)):
+            raise Violation(f"command {command} is not finite")
         if abs(steering) > most:
             raise Violation(f"angle {steering!r} is beyond {most}")
-        if abs(answer.steering_rate) > rate:
-            raise Violation(f"rate {answer.steering_rate!r} is beyond {rate}")
+        if abs(command.steering_rate) > rate:
+            raise Violation(f"rate {command.steering_rate!r} is beyond {rate}")
         if abs(steering - last) > rate * LONGEST_PAUSE * PERIOD * (1 + 1e-12):
             raise Violation(f"angle jumped from {last!r} to {steering!r}")
 
 
-def fuzz(subject: Subject, inputs: Inputs, promises: Promises, count: int) -> Counter[str]:
-    """Throw inputs at a subject; a refusal is a ValueError or silent, all else is a failure.
+def fuzz_guard(
+    subject: ChecksAndGuard, inputs: Inputs, guarantees: Guarantees, count: int
+) -> Counter[str]:
+    """Send inputs to a subject, which may reject them by ValueError or silently.
 
     Returns:
-        How many inputs of each kind, and how many of them were refused by ValueError.
+        Number of inputs of each kind, and number of those rejected by ValueError.
 
     Raises:
-        Violation: Tells the number of the input.
+        Violation: Any other exception, or a violated guarantee; names the number of the input.
     """
     done: Counter[str] = Counter()
     for number in range(count):
         kind = str(inputs.rng.choice(list(SHARES), p=list(SHARES.values())))
         try:
-            one_input(kind, subject, inputs, promises)
+            one_input(kind, subject, inputs, guarantees)
         except ValueError:
-            done[f"{kind} refused"] += 1
+            done[f"{kind} rejected"] += 1
         except Exception as error:
             raise Violation(f"input {number}, {kind}: {error!r}") from error
         done[kind] += 1
     return done
 
 
-def one_input(kind: str, subject: Subject, inputs: Inputs, promises: Promises) -> None:
-    """Throw one input."""
+def one_input(kind: str, subject: ChecksAndGuard, inputs: Inputs, guarantees: Guarantees) -> None:
+    """Send one input."""
     now_ns = inputs.time()
     if kind == "state":
         subject.take_state(inputs.next_state(), now_ns)
     elif kind == "steering":
-        subject.take_steering(inputs.number(promises.last, 0.05), now_ns)
+        subject.take_steering(inputs.number(guarantees.last, 0.05), now_ns)
     elif kind == "path":
         subject.take_path(inputs.path(), now_ns)
     else:
         answer = subject.tick(now_ns)
         if answer is not None:
-            promises.check(answer)
+            guarantees.check(answer)
 
 
 def guard_drive(seed: int, drive: int, count: int) -> Counter[str]:
-    """Throw inputs at checks and guard in one drive, with each of the shipped limits in turn.
+    """Send inputs to checks and guard in one drive; the shipped limits alternate between drives.
 
     Args:
-        seed: Of all drives.
-        drive: Number of this one; both together give its inputs.
-        count: Of inputs.
+        seed: Seed of all drives.
+        drive: Number of this drive; seed and number determine the inputs.
+        count: Number of inputs.
 
     Returns:
-        How many inputs of each kind, how many refused, and how often the guard clipped.
+        Number of inputs of each kind, of rejections, and of clipped commands.
 
     Raises:
-        Violation: Tells the number of the input.
+        Violation: Names the number of the input.
     """
     limits = sorted(shipped("guards"))[drive % len(shipped("guards"))]
     inputs = Inputs([seed, drive])
     subject = ChecksAndGuard(inputs.number, limits)
     with np.errstate(all="ignore"):
-        done = fuzz(subject, inputs, Promises(limits), count)
+        done = fuzz_guard(subject, inputs, Guarantees(limits), count)
     done.update({f"state {cause}": n for cause, n in subject.filter.rejected.items()})
     done.update({f"clipped {limit}": n for limit, n in subject.guard.count.items()})
     return done

@@ -1,4 +1,4 @@
-"""ROS messages as hostile as ROS lets them be, on their way into the node's core."""
+"""Fuzzing of the node's core with extreme ROS messages."""
 
 import math
 from collections import Counter
@@ -15,23 +15,23 @@ from tests.workshop.fuzz.fuzz_road import Road
 KINDS = {"state": 0.45, "tick": 0.4, "steering": 0.1, "path": 0.05}
 """Shares of the messages; `tick` is the timer."""
 FRAMES = ("", "odom", "MAP", "/map", "map\0", "\0", "m" * 10_000, "k\u00e4rt", "\U0001f697")
-"""Frames that are not `map`."""
+"""Frames other than `map`."""
 ODD = 0.05
-"""Share of the messages in which one thing is changed."""
+"""Share of the messages with one change."""
 
 
 class Messages:
-    """Messages around a core, mostly as they should be."""
+    """Random messages for a core, mostly valid."""
 
     def __init__(self, core: Core) -> None:
-        """Use the core's road."""
+        """Use the road of the core."""
         self.core, self.rng = core, core.road.rng
 
     def throw(self, kind: str) -> None:
-        """Unpack one message, and give it to the core.
+        """Unpack one message and pass it to the core.
 
         Raises:
-            ValueError: It is refused, by either.
+            ValueError: The message is rejected by either.
         """
         now_ns, supervisor = self.core.road.time(), self.core.supervisor
         if kind == "state":
@@ -52,7 +52,7 @@ class Messages:
             self.core.tick(now_ns)
 
     def odometry(self) -> Any:
-        """Give a state's message, seldom with an odd number, quaternion, or header."""
+        """Return a state message, rarely with an extreme number, quaternion or header."""
         state = self.core.road.odom()
         sound = all(map(math.isfinite, state)) and -(2**31) <= state.stamp_ns // NANOSECONDS < 2**31
         message = ros.odometry_message(state if sound else self.core.road.state)
@@ -67,7 +67,7 @@ class Messages:
         return self.odd_header(message)
 
     def path(self) -> Any:
-        """Give a path's message, seldom with odd positions or headers."""
+        """Return a path message, rarely with extreme positions or headers."""
         points = self.core.road.road()
         shape = np.array(points, dtype=float).reshape(-1, 2)
         if len(points) < 2 or not np.isfinite(shape).all():
@@ -84,7 +84,7 @@ class Messages:
         return self.odd_header(message) if self.rng.random() < ODD else message
 
     def steering(self) -> Any:
-        """Give a measured angle's message, seldom with none or several, or an odd one."""
+        """Return a steering message, rarely without, with several, or with an extreme angle."""
         message = ros.joint_message(self.core.road.now_ns, self.core.supervisor.steering, 0.0)
         if self.rng.random() < 2 * ODD:
             count = int(self.rng.integers(0, 4))
@@ -104,12 +104,12 @@ class Messages:
 
 
 def message_drive(seed: int, drive: int, count: int) -> Counter[str]:
-    """Throw messages at the core in one drive; see `throw_all`.
+    """Send messages to the core in one drive; see `throw_all`.
 
     Args:
-        seed: Of all drives.
-        drive: Number of this one; both together give its messages.
-        count: Of messages.
+        seed: Seed of all drives.
+        drive: Number of this drive; seed and number determine the messages.
+        count: Number of messages.
     """
     core = Core(Road([seed, drive, len(KINDS)]))
     kinds = core.road.rng.choice(list(KINDS), p=list(KINDS.values()), size=count)

@@ -1,7 +1,7 @@
-"""A car on a road as a source of inputs: mostly plausible, so that a drive gets somewhere.
+"""Random inputs of a car on a road, mostly plausible, so that the controller really drives.
 
-The car drives as it is steered, along roads that begin where it is and come again and again. Into
-that come states, paths, angles, and times that cannot be.
+The car follows its steering along roads that start at its position and are sent repeatedly. They
+are mixed with impossible states, paths, angles and times.
 """
 
 import math
@@ -15,7 +15,7 @@ from tests.workshop.fuzz.fuzz_guard import Inputs
 JUMPS = 0.003
 """Share of the inputs at which the clock jumps."""
 CALM = 2.0
-"""Time of plausible inputs after which the controller has to steer by its solution [s]."""
+"""Duration of plausible inputs after which the controller must use its optimal plan [s]."""
 SPEEDS = (0.0, -0.0, 5e-324, 1e-300, 1e-9, 0.049, 0.1, -0.01, -1.0, -50.0, 60.0, 99.9, 100.0)
 PLACES = (0.0, 5e-324, 1e4, -1e6, 9.99e7, 1e8)
 STAMPS = (0, -1, -(2**31) * NANOSECONDS, 2**31 * NANOSECONDS + 2**32 - 1 - NANOSECONDS)
@@ -23,20 +23,20 @@ STAMPS = (0, -1, -(2**31) * NANOSECONDS, 2**31 * NANOSECONDS + 2**32 - 1 - NANOS
 
 
 class Road(Inputs):
-    """Inputs around a car that is steered."""
+    """Inputs of a car that follows its steering."""
 
     def __init__(self, seed: Sequence[int]) -> None:
-        """Begin a drive."""
+        """Start a drive."""
         super().__init__(seed, JUMPS)
         self.points: list[tuple[float, float]] = []
 
     def steer(self, angle: float, wheelbase: float) -> None:
-        """Turn the car as it is steered."""
+        """Set the yaw rate from a steering angle [rad] and the wheelbase [m]."""
         turn = self.state.v_x * angle / wheelbase
         self.state = self.state._replace(yaw_rate=min(max(turn, -2.0), 2.0))
 
     def odom(self) -> VehicleState:
-        """Give the next state: the car's, seldom with what cannot be, or of another place."""
+        """Return the next state, rarely an impossible one or one at another position."""
         chance = self.rng.random()
         if chance < 0.01:
             self.move()
@@ -52,7 +52,7 @@ class Road(Inputs):
         return self.state
 
     def move(self) -> None:
-        """Put the car elsewhere, or let it have another speed, from one moment to the next."""
+        """Change position or speed of the car abruptly."""
         if self.rng.random() < 0.7:
             speed = float(self.rng.choice(SPEEDS)) if self.rng.random() < 0.5 else 9.0
             self.state = self.state._replace(v_x=speed)
@@ -64,7 +64,7 @@ class Road(Inputs):
         self.state = self.state._replace(x=x, y=y, yaw=yaw)
 
     def road(self) -> list[tuple[float, float]]:
-        """Give a path: mostly the one before, or one that begins at the car."""
+        """Return a path: mostly the previous one, or one that starts at the car."""
         if self.points and self.rng.random() < 0.5:
             return self.points
         points = self.path() if self.rng.random() < 0.6 else self.odd_path()
@@ -74,7 +74,7 @@ class Road(Inputs):
         return points
 
     def odd_path(self) -> list[tuple[float, float]]:
-        """Give a closed, a crossing, a tiny, a short, or a far path."""
+        """Return a closed, crossing, tiny, short or distant path."""
         phase = np.linspace(0.0, math.tau, 80)
         size = 10.0 ** float(self.rng.uniform(-12.0, 2.5))
         far = float(self.rng.choice([0.0, 1e3, 1e6, 1e9, 1e15]))
@@ -89,13 +89,13 @@ class Road(Inputs):
         return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
 
     def placed(self, points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        """Turn and move points that begin at the origin to the car."""
+        """Transform points that start at the origin to the pose of the car."""
         _, x, y, yaw, *_ = self.state
         cos, sin = math.cos(yaw), math.sin(yaw)
         return [(x + a * cos - b * sin, y + a * sin + b * cos) for a, b in points]
 
     def calm(self, period: float) -> Iterator[tuple[VehicleState, list[tuple[float, float]]]]:
-        """Drive straight along a path for a while: states, each with the path, at each tick."""
+        """Yield states of a straight drive for CALM seconds, each with the path, at each tick."""
         v = float(self.rng.uniform(3.0, 15.0))
         self.state = VehicleState(self.now_ns, 0.0, 0.0, 0.0, v, 0.0, 0.0)
         self.points = [(5.0 * i - 20.0, 0.0) for i in range(60)]
