@@ -81,51 +81,51 @@ def load_plan(name: str) -> Plan:
 
 
 class Active(NamedTuple):
-    """A fault, and what it knows."""
+    """Fault with its memory."""
 
     fault: Fault
     memory: Memory
 
 
 def memory_of(plan: Plan, i: int) -> Memory:
-    """Give the memory with which a fault begins; each has its own chance."""
+    """Return the initial memory of a fault, with its own random generator."""
     fault = plan.faults[i]
     rng = np.random.default_rng([plan.seed, i])
     return Memory(fault.window, fault.amount or 0.0, fault.field, rng)
 
 
 class Injector:
-    """A line of messages with faults in it: what is put in comes out at its time, or never.
+    """Stream of messages with faults: each message leaves at its time, or never.
 
-    The same plan and the same messages give the same line; each fault has its own chance, so that
-    one more fault leaves the others as they are.
+    The same plan and messages give the same stream. Each fault has its own random generator, so
+    that another fault leaves it unchanged.
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Stand empty at the start of a drive."""
+        """Prepare the start of a drive."""
         config = [Active(fault, memory_of(plan, i)) for i, fault in enumerate(plan.faults)]
         self.later = sorted(config, key=lambda each: each.fault.start, reverse=True)
-        """Faults to come, the next one last."""
+        """Future faults, the next one last."""
         self.current: list[Active] = []
         self.history: dict[str, deque[Message]] = {}
         self.waiting: list[tuple[int, int, Message]] = []
         self.order = count()
 
     def faults(self, now_ns: int) -> list[Active]:
-        """Give the faults that are there now; time only goes on [ns]."""
+        """Return the active faults; time must not go back [ns]."""
         while self.later and self.later[-1].memory.window.start_ns <= now_ns:
             self.current.append(self.later.pop())
         self.current = [each for each in self.current if each.memory.window.holds(now_ns)]
         return self.current
 
     def put(self, message: Message) -> None:
-        """Send a message on its way."""
+        """Add a message to the stream."""
         for each in self.changed(message):
             heapq.heappush(self.waiting, (each.arrival_ns, next(self.order), each))
         self.history.setdefault(message.topic, deque(maxlen=KEPT)).append(message)
 
     def changed(self, message: Message) -> Sequence[Message]:
-        """Give what arrives in place of a message; several faults act one after the other."""
+        """Return the messages that replace a message; faults act in turn."""
         messages: Sequence[Message] = [message]
         for fault, memory in self.faults(message.arrival_ns):
             kind = KINDS[fault.kind]
@@ -135,11 +135,11 @@ class Injector:
         return messages
 
     def due(self, now_ns: int) -> list[Message]:
-        """Take out what has come in by now, in the order of arrival [ns]."""
-        found = []
+        """Remove and return the messages that have arrived, in the order of arrival [ns]."""
+        arrived = []
         while self.waiting and self.waiting[0][0] <= now_ns:
-            found.append(heapq.heappop(self.waiting)[2])
-        return found
+            arrived.append(heapq.heappop(self.waiting)[2])
+        return arrived
 
     @property
     def next_ns(self) -> float:
@@ -147,11 +147,11 @@ class Injector:
         return self.waiting[0][0] if self.waiting else float("inf")
 
     def is_on(self, kind: str, now_ns: int) -> bool:
-        """Whether a fault of a kind is there now."""
+        """Return whether a fault of a kind is active."""
         return any(each.fault.kind == kind for each in self.faults(now_ns))
 
     def clock_ns(self, now_ns: int) -> int:
-        """Give what the controller's own clock shows at a time [ns]."""
+        """Return the time of the controller's clock [ns]."""
         faults = (each.fault for each in self.faults(now_ns))
         jumps = (fault.amount or 0.0 for fault in faults if fault.kind == "clock_jump")
         return now_ns + round(sum(jumps) * NANOSECONDS)

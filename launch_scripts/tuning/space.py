@@ -1,4 +1,4 @@
-"""What of the gains is searched for, within which bounds, and how a particle becomes gains."""
+"""Search space of the tuner: tuned gains with bounds, fixed gains, and particles as gains."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,17 @@ from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains
 from ampc_ros.pso.settings import Dimension, space
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
-"""Of the gains in their order, as the paper writes them."""
+"""Symbols of the gains in the paper, in the order of `Gains`."""
 FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
 LOGARITHMIC = ("Q", "R")
-"""Searched for in the logarithm: they range over decades, and only Q/R matters."""
+"""Gains that are searched in the logarithm: they range over decades, and only Q/R matters."""
 DIGITS = 6
-"""Significant ones of a gain that is written down."""
+"""Significant digits of a written gain."""
 Bounds = tuple[float, float]
 
 
 class SearchSpace(NamedTuple):
-    """Some gains with bounds; the others are fixed."""
+    """Tuned gains with bounds; the others are fixed."""
 
     bounds: tuple[tuple[str, float, float], ...]
     """Symbol, low, high."""
@@ -30,7 +30,7 @@ class SearchSpace(NamedTuple):
 
 
 class Preset(NamedTuple):
-    """What a formulation is tuned with unless a user says otherwise."""
+    """Default task of a formulation."""
 
     kind: str
     speeds: tuple[float, ...]
@@ -47,8 +47,8 @@ PRESETS = {
         kind="paper",
         speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
         references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
-        tuned=("N_p", "N_c", "alpha", "R"),  # an alpha between two nodes fits the N of neither
-        bounds={  # of the authors' code; theirs of Q and R give R/Q from 1e-4 to 1
+        tuned=("N_p", "N_c", "alpha", "R"),  # an interpolated alpha fits the N of neither node
+        bounds={  # of the authors' code, where R/Q ranges from 1e-4 to 1
             "N_p": (1, 55),
             "N_c": (1, 18),
             "N": (1, 9),
@@ -64,7 +64,7 @@ PRESETS = {
         kind="robust",
         speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
         references=(0.0,),
-        tuned=("alpha", "R"),  # what else there is differs from node to node by chance
+        tuned=("alpha", "R"),  # the other gains differ between nodes only by chance
         bounds={
             "N_p": (10, 45),
             "N_c": (4, 30),
@@ -81,10 +81,10 @@ PRESETS = {
 
 
 def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
-    """Check bounds, by symbol, and the fixed gains.
+    """Return the search space of bounds by symbol and fixed gains.
 
     Raises:
-        ValueError: Names symbol, value and bound.
+        ValueError: Symbol, value and bound.
     """
     for symbol in bounds:
         if symbol not in SYMBOLS:
@@ -101,7 +101,7 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
 
 
 def dimensions(where: SearchSpace) -> list[Dimension]:
-    """Give the dimensions in which the swarm flies."""
+    """Return the dimensions of the swarm."""
     return [
         Dimension(symbol, math.log10(low), math.log10(high))
         if symbol in LOGARITHMIC
@@ -111,7 +111,7 @@ def dimensions(where: SearchSpace) -> list[Dimension]:
 
 
 def gains_at(where: SearchSpace, positions: Array) -> Array:
-    """Give the gains (n, 6) of particles (n, d); N_c and N are kept within N_p."""
+    """Return the gains (n, 6) of particles (n, d), with N_c and N limited to N_p."""
     rows = np.tile(np.array(where.fixed, dtype=float), (len(positions), 1))
     for column, (symbol, _, _) in enumerate(where.bounds):
         values = positions[:, column]
@@ -122,10 +122,10 @@ def gains_at(where: SearchSpace, positions: Array) -> Array:
 
 
 def read_bounds(texts: Sequence[str]) -> dict[str, Bounds]:
-    """Read bounds as a user writes them: `R=1:1e4`.
+    """Read bounds in the form of a user: `R=1:1e4`.
 
     Raises:
-        ValueError: Names what is wrong.
+        ValueError: Text and expected form.
     """
     bounds = {}
     for text in texts:
@@ -139,10 +139,10 @@ def read_bounds(texts: Sequence[str]) -> dict[str, Bounds]:
 
 
 def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
-    """Read fixed gains as a user writes them: `N_p=25`.
+    """Read fixed gains in the form of a user: `N_p=25`.
 
     Raises:
-        ValueError: Names what is wrong.
+        ValueError: Text and expected form.
     """
     fixed = default
     for text in texts:
