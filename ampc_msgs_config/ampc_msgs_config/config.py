@@ -1,4 +1,4 @@
-"""Load YAML configuration as declared types, and export the declarations as schemas and tables.
+"""Load YAML configuration as declared types, and export the declarations as JSON Schema.
 
 Every error is one line with file, dotted key, value and bound. The fields are declared with
 `validation`, which uses msgspec. Measured before the choice, for import on its own: msgspec takes

@@ -301,6 +301,6 @@ def expected(kind: Any, meta: msgspec.Meta | None, value: Any) -> str:
     is_whole = kind is int or (meta is not None and meta.multiple_of is not None)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return f"be a {'whole ' if is_whole else ''}number{bounds}"
-    if is_whole and math.isfinite(value) and value != int(value):
+    if is_whole and isinstance(value, float) and math.isfinite(value) and value % 1:
         return f"be a whole number{bounds}"
     return f"lie{bounds}"

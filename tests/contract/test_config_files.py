@@ -1,6 +1,7 @@
 """Shipped schemas and parameter tables equal the declarations; shipped files carry their schema."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -89,3 +90,40 @@ def test_the_command_writes_schemas_and_tables_to_a_folder(tmp_path: Path) -> No
 
 def test_schema_of_the_package_is_found_by_name() -> None:
     assert shipped_schema("gains").is_file()
+
+
+WRONG_NUMBERS = ["0017", "1:30", "1_0", "0x1F", "yes", "no", "on", "off", "true", "'1'", ".nan"]
+WRONG_NUMBERS += [f"1{'0' * 400}", "~", "[]", "{}", "2026-11-28"]
+ONE_OF_EACH = {kind.name: (kind, file) for kind, file in FILES if file.stem != "sine"}
+
+
+@pytest.mark.parametrize("value", WRONG_NUMBERS)
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_wrong_number_is_rejected_in_every_kind_of_file(
+    name: str, value: str, tmp_path: Path
+) -> None:
+    kind, shipped_file = ONE_OF_EACH[name]
+    text, count = re.subn(
+        r"^([^#\n]*?\b(\w+): +\[*)-?[0-9][0-9.e+-]*",
+        rf"\g<1>{value}",
+        shipped_file.read_text(encoding="utf-8"),
+        count=1,
+        flags=re.MULTILINE,
+    )
+    assert count == 1
+    file = tmp_path / "mine.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"mine\.yaml: \S+ = .* must (be|lie|in)\b.*") as error:
+        build(kind.content, read(file), str(file))
+    assert "\n" not in str(error.value)
+    assert "[" in str(error.value).partition(" must ")[2]
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_key_that_occurs_twice_is_rejected_in_every_kind_of_file(name: str, tmp_path: Path) -> None:
+    _, shipped_file = ONE_OF_EACH[name]
+    key = next(iter(read(shipped_file)))
+    file = tmp_path / "mine.yaml"
+    file.write_text(shipped_file.read_text(encoding="utf-8") + f"\n{key}: 1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"mine\.yaml: {key} = 1 in line \d+ repeats the key of"):
+        read(file)

@@ -42,7 +42,7 @@ def test_a_tuned_table_can_be_loaded_marks_unreached_nodes_and_has_its_provenanc
     provenance = content["provenance"]
     assert provenance["nodes_not_reached"] == [[3.0, 10.0]]
     assert provenance["seeds"] == [1]
-    assert provenance["command"] in text.splitlines()[2]
+    assert provenance["command"] in text.splitlines()[3]
     assert len(gain_table(content).nodes) in (2, 4)
     assert ("NOT REACHED" in text) == (len(gain_table(content).nodes) == 4)
     assert proof["verdict"] in provenance["verdict"]
