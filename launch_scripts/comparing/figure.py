@@ -15,7 +15,7 @@ from ampc_msgs_config.paths.path import Array, Path
 from ampc_msgs_config.paths.path_frame import along_chord, path_frame
 from launch_scripts.comparing.cells import QUANTITIES, Cell, Quantity, best_of
 from launch_scripts.comparing.table import Comparison, number, shared
-from launch_scripts.reporting.heat_map import Matrix, Square, draw
+from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
 from launch_scripts.reporting.style import CONTROLLER_STYLES, REFERENCE_STYLE, label_ends, stack
 from launch_scripts.run.simulated import SimulatedDrive, centre_of_gravity, ticks_until_lost
 
@@ -41,14 +41,14 @@ def draw_matrix(comparison: Comparison, quantity: str) -> Figure:
     title = f"{what.heading}\n{shared(comparison.conditions)}"
     names = [scenario.name for scenario in comparison.scenarios]
     labels = [name.replace("=", "=\n") for name in comparison.labels]
-    return draw(Matrix(title, names, labels, squares))
+    return draw_heat_map(title, names, labels, squares)
 
 
-def _square(cell: Cell, quantity: Quantity, best: bool) -> Square:
+def _square(cell: Cell, quantity: Quantity, best: bool) -> HeatCell:
     """Give a square: coloured, or hatched where the car did not keep to the road."""
     hatch = "" if cell.kept else "////" if cell.numbers else "xxx"
     value = cell.numbers[quantity.key] if cell.kept else 0.0
-    return Square(number(cell, quantity), value, hatch, best)
+    return HeatCell(number(cell, quantity), value, hatch, best)
 
 
 def styles(labels: Sequence[str]) -> dict[str, tuple[str, Any]]:
