@@ -31,7 +31,7 @@ def render(template: str, **values: Any) -> str:
 
 
 def num(value: float, pattern: str = "") -> Markup:
-    """Return a measured number; the attribute `value` of its element holds all digits.
+    """Return a measured number; see `data`.
 
     Args:
         value: Any number.
@@ -42,6 +42,11 @@ def num(value: float, pattern: str = "") -> Markup:
     shown = mantissa.rstrip(".") + (f"e{int(exponent)}" if e else "")
     if e and int(exponent) > 0:
         shown = f"{float(shown):,.0f}"
+    return data(value, shown)
+
+
+def data(value: float, shown: str) -> Markup:
+    """Return a number with its visible text; the attribute `value` holds all digits."""
     return Markup('<data value="{}">{}</data>').format(repr(value), shown)
 
 
