@@ -72,8 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
     print_tables(console, drives, thresholds)
-    for each in (file, file.with_suffix(".json"), *files):
-        console.print(f"written: {each}", markup=False)
+    names = [each.name for each in (file, file.with_suffix(".json"), *files)]
+    console.print(f"{', '.join(names)}: {file.parent}", markup=False)
     return FAILED if passed(drives) is False else 0
 
 

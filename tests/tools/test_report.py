@@ -15,11 +15,10 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.report import main, names_of, page_file
-from launch_scripts.reporting.context import ReportInputs
-from launch_scripts.reporting.drive import Judged, judge_bag
+from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
-from launch_scripts.reporting.panels import panels
+from launch_scripts.reporting.panels import PANELS, draw_panel
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,
@@ -32,7 +31,7 @@ from tests.report_bags import (
 from tests.tools.test_result import CIRCLE, drive_messages, write_bag
 from tests.workshop.bench.bench_report_page import make_bag
 
-EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "thresholds.yaml"
+EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "reporting" / "thresholds.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +40,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_bag(tmp_path_factory.mktemp("whole") / "bag", minutes=0.2, start=590.0)
 
 
-def judged(bag: Path, namespace: str | None = None, **given: Any) -> Judged:
-    return judge_bag(bag, "drive", namespace, ReportInputs(**given))
+def judged(bag: Path, namespace: str | None = None, **options: Any) -> JudgedDrive:
+    return judge_bag(bag, "drive", namespace, **options)
 
 
 def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
@@ -56,7 +55,7 @@ def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
 
 def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> None:
     drive = judged(whole)
-    found = drive.summary
+    found = drive.metrics
     assert found["ticks"] == 120
     assert found["missed_ticks"] == 0
     assert found["duration"] == pytest.approx(11.9)
@@ -66,31 +65,31 @@ def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> No
     assert found["rung_optimal"] == 71
     assert found["time_constrained"] == pytest.approx(4.9)
     assert found["time_at_limit"] == 0.0
-    assert drive.known.controller == "preview"
+    assert drive.context.controller == "preview"
     assert drive.notes == []
 
 
 def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole: Path) -> None:
     drive = judged(whole)
     radius = np.hypot(drive.states[:, 0], drive.states[:, 1] - 800.0)
-    swing = 800.0 - np.hypot(radius, drive.known.to_cg)  # 1.5 m ahead on the tangent
+    swing = 800.0 - np.hypot(radius, drive.context.to_cg)  # 1.5 m ahead on the tangent
     np.testing.assert_allclose(drive.errors[:, 0], swing, atol=1e-3)
 
 
 def test_an_old_bag_is_reported_with_what_it_lacks_in_words(tmp_path: Path) -> None:
     drive = judged(write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)}))
-    assert drive.summary["solve_time_median"] == pytest.approx(1e-4)
-    assert drive.summary["fall_backs"] is None
+    assert drive.metrics["solve_time_median"] == pytest.approx(1e-4)
+    assert drive.metrics["fall_backs"] is None
     text = " ".join(drive.notes)
     assert "no controller/configuration" in text
-    assert "no controller/tick: faults, fall-backs and guard are left out" in text
+    assert "no controller/tick: no faults, fallbacks and guard" in text
 
 
 def test_odometry_alone_is_a_drive(tmp_path: Path) -> None:
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(straight_states(30))}))
-    assert drive.summary["distance"] == pytest.approx(29.0)
-    assert drive.summary["max_cross_track_error"] is None
-    assert "no reference_path: errors are left out" in drive.notes[-1]
+    assert drive.metrics["distance"] == pytest.approx(29.0)
+    assert drive.metrics["max_cross_track_error"] is None
+    assert "no reference_path" in drive.notes[-1]
 
 
 def test_commands_with_stamps_of_their_own_answer_the_state_before(tmp_path: Path) -> None:
@@ -101,9 +100,9 @@ def test_commands_with_stamps_of_their_own_answer_the_state_before(tmp_path: Pat
     drive = judged(
         write_messages(tmp_path / "bag", foreign(topics={"/steering_command": commands}))
     )
-    assert drive.summary["ticks"] == 30
-    assert drive.summary["max_cross_track_error"] == pytest.approx(0.1)
-    assert any("state before it" in note for note in drive.notes)
+    assert drive.metrics["ticks"] == 30
+    assert drive.metrics["max_cross_track_error"] == pytest.approx(0.1)
+    assert any(note.startswith("Commands carry no stamp") for note in drive.notes)
 
 
 def test_each_tick_is_judged_by_the_path_that_was_in_force(tmp_path: Path) -> None:
@@ -119,7 +118,7 @@ def test_log_times_of_another_clock_are_brought_onto_that_of_the_stamps(tmp_path
     topics = {"/odom": odometry(straight_states(30), ahead), "/stop_request": stop}
     drive = judged(write_messages(tmp_path / "bag", topics))
     assert drive.columns.values["stop_request"][0, 0] == pytest.approx(1.5)
-    assert drive.summary["stop_requests"] == 1
+    assert drive.metrics["stop_requests"] == 1
 
 
 def test_shuffled_times_give_the_same_numbers_and_a_note(tmp_path: Path) -> None:
@@ -128,7 +127,7 @@ def test_shuffled_times_give_the_same_numbers_and_a_note(tmp_path: Path) -> None
     mixed = [(rows[k][0], rows[int(i)][1]) for k, i in enumerate(order)]
     straight = judged(write_messages(tmp_path / "straight", foreign()))
     shuffled = judged(write_messages(tmp_path / "mixed", foreign(topics={"/odom": mixed})))
-    assert shuffled.summary == straight.summary
+    assert shuffled.metrics == straight.metrics
     assert any("time goes back" in note for note in shuffled.notes)
 
 
@@ -136,7 +135,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_used(tmp_path: Path) -> N
     states = straight_states(30)
     states[5] = states[5]._replace(x=math.nan)
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(states)}))
-    assert drive.summary["ticks"] == 29
+    assert drive.metrics["ticks"] == 29
     assert any(note.startswith("/odom: 1 of 30 messages refused: odom") for note in drive.notes)
 
 
@@ -170,15 +169,15 @@ def test_no_number_in_a_tick_breaks_the_report(value: float, tmp_path: Path) -> 
 def test_one_namespace_is_reported_never_mixed_with_another(tmp_path: Path) -> None:
     topics = foreign() | {f"/car1{k}": v for k, v in foreign(20).items()}
     bag = write_messages(tmp_path / "bag", topics)
-    assert judged(bag, "/car1").summary["ticks"] == 20
-    assert judged(bag, "").summary["ticks"] == 30
+    assert judged(bag, "/car1").metrics["ticks"] == 20
+    assert judged(bag, "").metrics["ticks"] == 30
 
 
 def test_a_truncated_bag_is_reported_up_to_where_it_ends(tmp_path: Path) -> None:
     file = next(write_messages(tmp_path / "bag", foreign(300)).glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     drive = judged(file.parent)
-    assert 50 < (drive.summary["ticks"] or 0) < 250
+    assert 50 < (drive.metrics["ticks"] or 0) < 250
     assert drive.notes[0] == "The bag was not closed: its last moments may be missing."
 
 
@@ -213,15 +212,15 @@ def test_odometry_of_a_wrong_type_is_refused_in_one_line(
 def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> None:
     vehicle = load_vehicle(find("vehicles", "paper"))
     drive = judged(write_messages(tmp_path / "bag", foreign()), vehicle=vehicle)
-    assert drive.known.to_cg == vehicle.chassis.cg_to_rear_axle
-    outline = drive.known.outline
+    assert drive.context.to_cg == vehicle.chassis.cg_to_rear_axle
+    outline = drive.context.outline
     length = vehicle.size.rear_overhang + vehicle.chassis.wheelbase + vehicle.size.front_overhang
     assert np.ptp(outline[:, 0]) == pytest.approx(length)
     assert np.ptp(outline[:, 1]) == pytest.approx(vehicle.size.width)
 
 
 def test_the_bound_of_the_angle_is_the_narrower_of_settings_and_tyre(whole: Path) -> None:
-    bound = judged(whole).known.angle_bound(np.array([0.5, 30.0]))
+    bound = judged(whole).context.angle_bound(np.array([0.5, 30.0]))
     assert bound is not None
     assert bound[0] == pytest.approx(math.pi / 6)
     assert bound[1] < 0.1
@@ -232,7 +231,7 @@ def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whol
     limits = GuardLimits(
         speed=(0.0, 20.0), max_angle=(0.6, 0.2), lateral_acceleration=(3.0, 3.0), **row
     )
-    known = judged(whole).known._replace(guard=limits)
+    known = judged(whole).context._replace(guard=limits)
     chassis = known.chassis
     assert chassis is not None
     bound = known.guard_bound(np.array([1.0, 20.0]))
@@ -256,7 +255,7 @@ def thresholds(folder: Path, text: str) -> str:
         ("max_error: 0.5", 2, "limits.yaml: unknown key 'max_error'"),
         ("max_cross_track_error: wide", 2, "max_cross_track_error = 'wide' must be a number"),
         ("max_cross_track_error: -1.0", 2, "max_cross_track_error = -1.0 must lie in [0, inf] m"),
-        ("{}", 2, "sets no threshold"),
+        ("{}", 2, "contains no threshold"),
     ],
 )
 def test_thresholds_decide_the_exit_code(
@@ -323,8 +322,8 @@ def test_bags_side_by_side_keep_their_colours_in_all_plots(whole: Path, tmp_path
     other = write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)})
     drives = [judged(whole)._replace(name="a"), judged(other)._replace(name="b")]
     colours: dict[str, set[str]] = {"a": set(), "b": set()}
-    for panel in panels(drives, 500)[0]:
-        for line in panel.figure.data:
+    for panel in PANELS:
+        for line in draw_panel(panel, drives, 500).data:
             if ": " in line.name:
                 colours[line.name.partition(": ")[0]].add(line.line.color)
     assert colours == {"a": {"#0072B2"}, "b": {"#D55E00"}}
