@@ -23,7 +23,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import METRICS
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.page import NO_DATA, report_page, visible_metrics
-from launch_scripts.reporting.verdicts import Thresholds
+from launch_scripts.reporting.summary import Thresholds
 from launch_scripts.run.json_values import to_json
 
 FAILED, WRONG = 1, 2

@@ -26,7 +26,7 @@ from ampc_ros.preview.programme import FRICTION_SHARE
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-from launch_scripts.reporting.verdicts import SUMMARY, Thresholds, Verdict, check_thresholds
+from launch_scripts.reporting.summary import SUMMARY, Thresholds, Verdict, check_thresholds
 
 if TYPE_CHECKING:
     from sim_vehicle.parameters import Vehicle

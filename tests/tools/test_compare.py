@@ -1,5 +1,6 @@
 """Comparison of controllers and scenarios: same car, same noise, visible failures."""
 
+import csv
 import json
 import math
 from pathlib import Path
@@ -14,7 +15,7 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller
-from launch_scripts.compare import main
+from launch_scripts.compare import main, read_contender
 from launch_scripts.comparing.cells import (
     QUANTITIES,
     Cell,
@@ -211,6 +212,36 @@ def test_a_users_road_is_a_scenario(tmp_path: Path) -> None:
     found = compare(tmp_path / "out", "--scenarios", str(file), "--speed", "8")
     assert list(found["scenarios"]) == ["bend"]
     assert [cell["fate"] for cell in found["cells"]] == ["driven"] * len(CONTROLLERS)
+
+
+def test_further_formats_hold_the_same_numbers(tmp_path: Path) -> None:
+    arguments = ("--controllers", "preview", "paper", "--scenarios", "circle", "sc1")
+    found = compare(tmp_path, *arguments, "--format", "csv", "svg", "pdf")
+    with (tmp_path / "compare.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    heads = {key: f"{key} [{METRICS[key].unit}]" for key in QUANTITIES.values()}
+    assert [row["outcome"] for row in rows] == ["driven", "refused", "driven", "driven"]
+    for row, cell in zip(rows, found["cells"], strict=True):
+        assert (row["scenario"], row["controller"]) == (cell["scenario"], cell["controller"])
+        for key, head in heads.items():
+            assert row[head] == ("" if cell["fate"] == "refused" else repr(cell[key]))
+    figures = {"compare.svg", "compare_circle.svg", "compare_sc1.svg"}
+    assert {file.name for file in tmp_path.glob("*.svg")} == figures
+    assert (tmp_path / "compare.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_controller_of_a_user_is_named_by_its_class_and_found_by_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[str] = []
+    monkeypatch.setattr("launch_scripts.run.options.check_controller", checked.append)
+    monkeypatch.chdir(tmp_path)
+    contender = read_contender("my/file.py:Stanley", "paper")
+    name = f"{tmp_path}/my/file.py:Stanley"
+    assert contender == Contender("Stanley", name, "")
+    assert checked == [name]
+    with pytest.raises(ValueError, match="Stanley has no gains"):
+        read_contender("file.py:Stanley=preview", "paper")
 
 
 def test_roads_on_which_nobody_drives_are_drawn_as_such(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
 """The report: what it says about bags of every kind, and what it refuses."""
 
+import csv
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,11 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.report import main, names_of, page_file
+from launch_scripts.reporting import export, page
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
-from launch_scripts.reporting.panels import PANELS, draw_panel
+from launch_scripts.reporting.panels import PANELS, Axis, Panel, draw_panel
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,
@@ -362,3 +365,61 @@ def test_the_page_lies_beside_its_bag_unless_told_otherwise() -> None:
     assert page_file(None, Path("/data/drive_1")) == Path("/data/drive_1_report.html")
     assert page_file(Path("out"), Path("/x")) == Path("out/report.html")
     assert page_file(Path("out/my.html"), Path("/x")) == Path("out/my.html")
+
+
+def test_a_panel_of_a_user_is_drawn_on_the_page(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def yaw_rate(drive: JudgedDrive) -> Iterator[Series]:
+        yield Series("yaw rate", drive.record.time, drive.record.yaw_rate)
+
+    panel = Panel("yaw_rate", "Yaw rate", "As measured.", (Axis("rate [rad/s]", yaw_rate),))
+    monkeypatch.setattr(page, "PANELS", [*PANELS, panel])
+    monkeypatch.setattr(export, "PANELS", [*PANELS, panel])
+    assert main([str(whole), "--output", str(tmp_path), "--format", "svg"]) == 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'id="plot-yaw_rate" role="figure" aria-label="Yaw rate over time. yaw rate from' in text
+    assert (tmp_path / "report_yaw_rate.svg").exists()
+
+
+def test_exported_time_series_are_those_of_the_drive(whole: Path, tmp_path: Path) -> None:
+    assert main([str(whole), "--output", str(tmp_path / "my.html"), "--format", "csv"]) == 0
+    drive = judged(whole)
+    with (tmp_path / "my.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 120
+
+    def column(head: str) -> list[float]:
+        return [float(row[head] or "nan") for row in rows]
+
+    np.testing.assert_allclose(column("time [s]"), drive.record.time)
+    np.testing.assert_allclose(column("yaw_rate [rad/s]"), drive.states[:, 5], rtol=1e-8)
+    np.testing.assert_allclose(column("cross_track_error [m]"), drive.errors[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(column("steering_command [rad]"), drive.record.steering, rtol=1e-8)
+    rungs = drive.record.tick["rung"][:, 1]
+    np.testing.assert_array_equal(column("tick/rung"), rungs)
+    assert "tick/solve_time [s]" in rows[0]
+    assert not list(tmp_path.glob("*.svg"))
+
+
+def test_sampled_values_hold_until_the_next_sample() -> None:
+    rows = np.array([[1.0, 10.0], [2.0, 20.0]])
+    found = export.latest(rows, np.array([0.5, 1.0, 1.9, 2.0, 9.0]))
+    np.testing.assert_array_equal(found, [np.nan, 10.0, 10.0, 20.0, 20.0])
+
+
+def test_charts_of_several_drives_are_exported(whole: Path, tmp_path: Path) -> None:
+    other = write_bag(tmp_path / "other" / "bag", {"": drive_messages(CIRCLE)})
+    arguments = [str(whole), str(other), "--output", str(tmp_path), "--format", "csv", "svg", "pdf"]
+    assert main(arguments) == 0
+    assert {file.name for file in tmp_path.glob("*.csv")} == {
+        f"report_{whole.parent.name}.csv",
+        "report_other.csv",
+    }
+    pdf = (tmp_path / "report.pdf").read_bytes()
+    charts = {file.stem for file in tmp_path.glob("*.svg")}
+    assert {"report_map", "report_steering", "report_events", "report_solve_time"} <= charts
+    assert pdf.startswith(b"%PDF")
+    assert pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page ") == len(charts)
+    text = (tmp_path / "report_events.svg").read_text(encoding="utf-8")
+    assert text.count("<path") > 5
