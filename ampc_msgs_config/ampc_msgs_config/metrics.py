@@ -321,7 +321,13 @@ TABLE: tuple[Metric, ...] = (
     Metric("distance", "Distance", "m", NEUTRAL, distance),
     # Tracking error
     Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", LOWER, of("error", mean_square)),
-    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2", LOWER, of("lateral", mean_square)),
+    Metric(
+        "mse_lateral_m2",
+        "MSE of Y - Y_ref(X), as in the paper",
+        "m\u00b2",
+        LOWER,
+        of("lateral", mean_square),
+    ),
     Metric("rms_error_m", *RMS),
     Metric("p95_error_m", *P95),
     Metric("max_error_m", *MAX),

@@ -1,4 +1,4 @@
-"""The judge: numbers of drives that can be worked out by hand."""
+"""Metrics of drives whose values are computed by hand."""
 
 import math
 
@@ -29,7 +29,7 @@ SLOPE = make_path([(0.0, 0.0), (60.0, 80.0)])
 
 
 def drive(left: list[float], steering: list[float], times: list[float]) -> Drive:
-    """Give a drive along the x axis at 10 m/s with these offsets, angles and times."""
+    """Return a drive along the x axis at 10 m/s with these offsets, angles and times."""
     states = [
         VehicleState(round(t * NANOSECONDS), 10.0 * t, y, 0.0, 10.0, 0.0, 0.0)
         for t, y in zip(times, left, strict=True)
@@ -38,7 +38,7 @@ def drive(left: list[float], steering: list[float], times: list[float]) -> Drive
 
 
 def along_slope(left: Array) -> Drive:
-    """Give a drive parallel to SLOPE, to its left."""
+    """Return a drive parallel to SLOPE, to its left."""
     s, yaw = 10.0 * np.arange(len(left)), math.atan2(80.0, 60.0)
     states = [
         VehicleState(

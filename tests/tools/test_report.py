@@ -1,4 +1,4 @@
-"""The report: what it says about bags of every kind, and what it refuses."""
+"""Report of complete, old, foreign and damaged bags."""
 
 import csv
 import json
@@ -39,7 +39,7 @@ EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "reporting" / "threshol
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of the whole contract: 12 s, of which almost 5 are faulty."""
+    """Write a bag with all topics: 12 s, almost 5 s of them with faults."""
     return make_bag(tmp_path_factory.mktemp("whole") / "bag", minutes=0.2, start=590.0)
 
 
@@ -48,7 +48,7 @@ def judged(bag: Path, namespace: str | None = None, **options: Any) -> JudgedDri
 
 
 def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
-    """Messages of a stranger: odometry and a path, no command; others in place of these."""
+    """Return messages of another system: odometry and a path, no command, or the given topics."""
     messages: Messages = {
         "/odom": odometry(straight_states(ticks)),
         "/reference_path": [road(0, 0)],
