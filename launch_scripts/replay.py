@@ -22,7 +22,7 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import shipped
-from ampc_msgs_config.metrics import Drive, evaluate
+from ampc_msgs_config.metrics import METRICS, RESULT, Drive, evaluate
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS, TickRecord
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
@@ -38,7 +38,6 @@ from launch_scripts.replaying.repetition import (
     with_gains,
     with_value,
 )
-from launch_scripts.run.result import LABELS
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 
@@ -187,9 +186,10 @@ def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int
         for each in (recorded_drive(run), closed)
     )
     table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")
-    for key, (label, unit) in LABELS.items():
-        if key in before and np.isfinite(before[key]) and not key.startswith("solve_time"):
-            table.add_row(label, f"{before[key]:.4g}", f"{after[key]:.4g}", unit)
+    for key in RESULT:
+        if np.isfinite(before[key]) and not key.startswith("solve_time"):
+            values = f"{before[key]:.4g}", f"{after[key]:.4g}"
+            table.add_row(METRICS[key].title, *values, METRICS[key].unit)
     console.print(table)
     return 0
 

@@ -1,4 +1,4 @@
-"""Bags for the report: complete, of older versions, of other recorders, and damaged."""
+"""Bags for tests of the report: complete, old, of other controllers, and damaged."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ Messages = dict[str, list[tuple[int, Any]]]
 
 
 def write_messages(bag: Path, topics: Messages) -> Path:
-    """Write messages at their log times, one chunk for 20 messages."""
+    """Write messages at their log times, one chunk per 20 messages."""
     with Recording(bag) as recording:
         for name, messages in topics.items():
             recording.add_topic(name, type_name_of(type(messages[0][1])))
@@ -30,7 +30,7 @@ def write_messages(bag: Path, topics: Messages) -> Path:
 
 
 def straight_states(ticks: int, left: float = 0.1) -> list[VehicleState]:
-    """Return states parallel to the x axis at 10 m/s."""
+    """Return states parallel to the x axis at 10 m/s, `left` of it [m]."""
     return [
         VehicleState(NANOSECONDS + k * TICK_NS, 1.0 * k, left, 0.0, 10.0, 0.0, 0.0)
         for k in range(ticks)
@@ -38,7 +38,7 @@ def straight_states(ticks: int, left: float = 0.1) -> list[VehicleState]:
 
 
 def odometry(states: list[VehicleState], offset_ns: int = 0) -> list[tuple[int, Any]]:
-    """Return states as messages, logged by a clock that is this far ahead."""
+    """Return states as messages, logged by a clock that is ahead by `offset_ns`."""
     return [(s.stamp_ns + offset_ns, ros.odometry_message(s)) for s in states]
 
 

@@ -1,161 +1,31 @@
-"""The numbers of a report, and the thresholds that they are held against."""
+"""Summary of a report: its metrics, thresholds and verdicts."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, NamedTuple
 
-import numpy as np
-
-from ampc_msgs_config import ros
 from ampc_msgs_config.metrics import (
-    REVERSAL_BAND,
-    distance_driven,
-    missed_ticks,
-    reversals,
-    rms,
-    time_where,
+    Value,
 )
-from ampc_msgs_config.types import RUNGS, SHIFTED_PLAN, Array
+from ampc_msgs_config.types import RUNGS
 from ampc_msgs_config.validation import Checked, number, units_of
-from launch_scripts.bags.bag_columns import BagColumns
-from launch_scripts.reporting.context import RunContext
 
-Summary = dict[str, float | None]
-"""By name of the quantity, SI; None where the bag does not tell."""
-AT_LIMIT = 1e-3
-"""An angle this near to its bound is at it [rad]."""
-NONE = np.empty((0, 2))
-
-
-class Quantity(NamedTuple):
-    """How a number of the summary is shown."""
-
-    label: str
-    unit: str = ""
-    scale: float = 1.0
-    """Shown = scale x SI."""
-    how: str = ""
-    """How it is worked out, in words."""
-
-
-DEG, MICRO = math.degrees(1.0), 1e6
-BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
-QUANTITIES = {
-    "duration": Quantity("Duration", "s", 1.0, "from the first to the last command"),
-    "distance": Quantity("Distance", "m", 1.0, "integral of the measured speed"),
-    "rms_cross_track_error": Quantity("RMS cross-track error", "m"),
-    "p95_cross_track_error": Quantity("95 % cross-track error", "m", 1.0, "of the absolute value"),
-    "max_cross_track_error": Quantity("Largest cross-track error", "m"),
-    "rms_heading_error": Quantity("RMS heading error", "deg", DEG),
-    "max_lateral_acceleration": Quantity("Largest lateral acceleration", "m/s\u00b2", 1.0, "v r"),
-    "max_steering": Quantity("Largest steering angle", "deg", DEG),
-    "steering_effort": Quantity("Steering effort", "deg/tick", DEG, "RMS increment of the command"),
-    "steering_reversals": Quantity("Steering reversals", "", 1.0, BAND),
-    "steering_reversal_rate": Quantity("Steering reversals per second", "1/s", 1.0, "the same"),
-    "time_at_limit": Quantity("Time at the angle bound", "s", 1.0, "command within 1 mrad of it"),
-    "time_constrained": Quantity("Time with active constraints", "s", 1.0, "of the controller"),
-    "time_clipped": Quantity("Time clipped by the guard", "s"),
-    "ticks": Quantity("Ticks"),
-    "missed_ticks": Quantity("Missed ticks", "", 1.0, "gaps between the stamps of commands"),
-    "fall_backs": Quantity("Fall-backs", "ticks", 1.0, "ticks below the rung 'slack'"),
-    **{f"rung_{name}": Quantity(f"Rung {name.replace('_', ' ')}", "ticks") for name in RUNGS},
-    "unsolved_ticks": Quantity("Programmes not solved", "ticks"),
-    "stop_requests": Quantity("Stop requests", "", 1.0, "times that one begins"),
-    "solve_time_median": Quantity("Solve time, median", "\u00b5s", MICRO),
-    "solve_time_p99": Quantity("Solve time, 99 %", "\u00b5s", MICRO),
-    "solve_time_max": Quantity("Solve time, largest", "\u00b5s", MICRO),
-}
-
-
-class SupervisionSummary(NamedTuple):
-    """What the numbers are worked out from; see `report_drive.Judged`."""
-
-    time: Array
-    states: Array
-    steering: Array
-    errors: Array
-    period: float
-    columns: BagColumns
-    known: RunContext
-
-
-def summarize(told: SupervisionSummary) -> Summary:
-    """Give the numbers of a drive; None where the bag does not tell."""
-    found = dict.fromkeys(QUANTITIES, None) | motion(told) | steering(told) | controller(told)
-    return {key: found[key] for key in QUANTITIES}
-
-
-def motion(told: SupervisionSummary) -> Summary:
-    """Judge how the car moved."""
-    time, speed, yaw_rate = told.time, told.states[:, 3], told.states[:, 5]
-    result: Summary = {
-        "duration": float(time[-1] - time[0]),
-        "distance": distance_driven(time, speed),
-        "max_lateral_acceleration": float(np.abs(speed * yaw_rate).max()),
-        "ticks": len(time),
-        "missed_ticks": missed_ticks(time, told.period),
-    }
-    error, heading = told.errors[np.isfinite(told.errors[:, 0])].T
-    if len(error):
-        result |= {
-            "rms_cross_track_error": rms(error),
-            "p95_cross_track_error": float(np.percentile(np.abs(error), 95)),
-            "max_cross_track_error": float(np.abs(error).max()),
-            "rms_heading_error": rms(heading),
-        }
-    return result
-
-
-def steering(told: SupervisionSummary) -> Summary:
-    """Judge how it was steered."""
-    angle, time = told.steering, told.time
-    if len(angle) < 2:
-        return {}
-    turns = reversals(angle)
-    result: Summary = {
-        "max_steering": float(np.abs(angle).max()),
-        "steering_effort": rms(np.diff(angle)),
-        "steering_reversals": turns,
-        "steering_reversal_rate": turns / max(float(time[-1] - time[0]), told.period),
-    }
-    bound = told.known.angle_bound(told.states[:, 3])
-    if bound is not None:
-        result["time_at_limit"] = time_where(time, np.abs(angle) >= bound - AT_LIMIT)
-    return result
-
-
-def controller(told: SupervisionSummary) -> Summary:
-    """Judge what the controller said about itself."""
-    tick, result = told.columns.tick, Summary()
-
-    def spent(name: str) -> float | None:
-        values = tick.get(name, NONE)
-        return time_where(values[:, 0], values[:, 1] != 0) if len(values) else None
-
-    result["time_constrained"], result["time_clipped"] = (
-        spent("active_constraints"),
-        spent("clipped"),
-    )
-    if "converged" in tick:
-        result["unsolved_ticks"] = int((tick["converged"][:, 1] == 0).sum())
-    if "rung" in tick:
-        rung = tick["rung"][:, 1]
-        result["fall_backs"] = int((rung >= SHIFTED_PLAN).sum())
-        result |= {f"rung_{name}": int((rung == k).sum()) for k, name in enumerate(RUNGS)}
-    stops = tick.get("stop_requested", told.columns.values.get(ros.STOP_REQUEST, NONE))
-    if len(stops):
-        result["stop_requests"] = int((np.diff(stops[:, 1] > 0, prepend=0) > 0).sum())
-    if "solve_time" in tick:
-        times = tick["solve_time"][:, 1]
-        for name, share in (("median", 50), ("p99", 99), ("max", 100)):
-            result[f"solve_time_{name}"] = float(np.percentile(times, share))
-    return result
+SUMMARY = (
+    *("duration", "distance"),
+    *("rms_cross_track_error", "p95_cross_track_error", "max_cross_track_error"),
+    *("rms_heading_error", "max_lateral_acceleration", "max_steering", "steering_effort"),
+    *("steering_reversals", "steering_reversal_rate"),
+    *("time_at_limit", "time_constrained", "time_clipped", "ticks", "missed_ticks"),
+    *("fall_backs", *(f"rung_{name}" for name in RUNGS), "unsolved_ticks", "stop_requests"),
+    *("solve_time_median", "solve_time_p99", "solve_time_max"),
+)
+"""Keys of the metrics of a report, in the order of its summary."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds(Checked):
-    """Largest values that pass, SI, named as in the summary; `min_` are smallest ones."""
+    """Largest values that pass, SI, with the names of the metrics; `min_`: smallest values."""
 
     rms_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
     p95_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
@@ -181,27 +51,40 @@ class Thresholds(Checked):
 
 
 class Verdict(NamedTuple):
-    """One threshold, held against one drive."""
+    """Result of one threshold for one drive."""
 
     threshold: str
     quantity: str
     limit: float
     at_least: bool
-    value: float | None
-    """None: the bag does not tell, which fails."""
+    value: Value
+    """None: the bag lacks the data, which fails."""
     unit: str
     """SI."""
 
     @property
     def passed(self) -> bool:
-        """Whether it is held."""
+        """Whether the value is within the limit."""
         if self.value is None or not math.isfinite(self.value):
             return False
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
+    @property
+    def measured(self) -> str:
+        """The value with its unit, as text."""
+        if self.value is None:
+            return "not in the bag"
+        return f"{self.value:.4g} {self.unit}".strip()
 
-def verdicts(thresholds: Thresholds, summary: Mapping[str, float | None]) -> list[Verdict]:
-    """Hold a summary against the thresholds that were set."""
+    @property
+    def bound(self) -> str:
+        """The limit with its relation and unit, as text."""
+        sign = "\u2265" if self.at_least else "\u2264"
+        return f"{sign} {self.limit:.6g} {self.unit}".strip()
+
+
+def check_thresholds(thresholds: Thresholds, metrics: Mapping[str, Value]) -> list[Verdict]:
+    """Return a verdict for each threshold that differs from its default."""
     result, units = [], units_of(Thresholds)
     for item in fields(thresholds):
         limit = getattr(thresholds, item.name)
@@ -209,5 +92,5 @@ def verdicts(thresholds: Thresholds, summary: Mapping[str, float | None]) -> lis
             at_least = item.name.startswith("min_")
             name = item.name.removeprefix("min_")
             unit = units[item.name]
-            result.append(Verdict(item.name, name, limit, at_least, summary[name], unit))
+            result.append(Verdict(item.name, name, limit, at_least, metrics[name], unit))
     return result

@@ -3,10 +3,8 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.metrics import LOST, errors, evaluate
+from ampc_msgs_config.metrics import LOST, errors, measure, record_of
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario, speed_at
@@ -210,13 +208,13 @@ def numbers(driven: SimulatedDrive) -> dict[str, Any]:
     """Give what the page says of a drive, for JSON."""
     to_cg = driven.vehicle.chassis.cg_to_rear_axle
     period = (driven.drive.states[1].stamp_ns - driven.drive.states[0].stamp_ns) / NANOSECONDS
-    measured = evaluate(driven.drive._replace(solve_time=np.zeros(1)), driven.path, to_cg, period)
-    unsolved = sum(d.converged == 0.0 for d in driven.diagnosis)
     keys = ("mse_m2", "mse_lateral_m2", "max_error_m", "steering_rms_increment_deg")
+    record = record_of(driven.drive, driven.path, to_cg, period)
+    measured = measure((*keys, "last_3_s_rms_m"), record)
+    unsolved = sum(d.converged == 0.0 for d in driven.diagnosis)
     return {
-        **{key: measured[key] for key in keys},
-        "last_3_s_rms_m": float(np.sqrt(np.mean(driven.error[-30:] ** 2))),
+        **measured,
         "unsolved_ticks": unsolved,
         "ticks": len(driven.error),
-        "lost": bool(measured["max_error_m"] > LOST),
+        "lost": bool((measured["max_error_m"] or 0.0) > LOST),
     }
