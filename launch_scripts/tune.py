@@ -18,8 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.text import Text
 
 from ampc_msgs_config.config import shipped
-from ampc_ros.pso.settings import PsoSettings
-from ampc_ros.pso.swarm import Swarm
+from ampc_ros.pso.swarm import PsoSettings, Swarm
 from launch_scripts.tuning.files import Checkpoints, write_whole
 from launch_scripts.tuning.fitness import FITNESS
 from launch_scripts.tuning.report import Report, as_json, lines_of, prove

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ampc_msgs_config.config import read_text
-from ampc_ros.pso.swarm import Swarm, from_json, to_json
+from ampc_ros.pso.swarm import Swarm, swarm_from_json, swarm_to_json
 
 TASK = "task.json"
 MAX_BYTES = 1_000_000_000
@@ -81,7 +81,7 @@ class Checkpoints:
 
     def save(self, name: str, swarm: Swarm) -> None:
         """Keep the last generation of a search."""
-        write_whole(self.folder / f"{name}.json", json.dumps(to_json(swarm)) + "\n")
+        write_whole(self.folder / f"{name}.json", json.dumps(swarm_to_json(swarm)) + "\n")
 
     def load(self, name: str) -> Swarm | None:
         """Give the last generation of a search that was kept."""
@@ -89,7 +89,7 @@ class Checkpoints:
         if found is None:
             return None
         try:
-            return from_json(found)
+            return swarm_from_json(found)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{self.folder / name}.json: no checkpoint: {error}") from error
 

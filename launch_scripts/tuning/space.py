@@ -8,7 +8,7 @@ import numpy as np
 
 from ampc_msgs_config.parameters import check_range
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains
-from ampc_ros.pso.settings import Dimension, space
+from ampc_ros.pso.swarm import Dimension, swarm_space
 from launch_scripts.tuning.fleet import Array
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
@@ -95,8 +95,8 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
         check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
     ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
     result = SearchSpace(ends, fixed)
-    space([Dimension(*bound) for bound in result.bounds])
-    space(dimensions(result))
+    swarm_space([Dimension(*bound) for bound in result.bounds])
+    swarm_space(dimensions(result))
     return result
 
 

@@ -12,7 +12,7 @@ from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import check_range
 from ampc_ros.mpc.gain_table import Gains, GainTable
-from ampc_ros.pso.settings import PsoSettings
+from ampc_ros.pso.swarm import PsoSettings
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import FITNESS, Node, fitness, gains_of_row
 from launch_scripts.tuning.fleet import Array
@@ -163,7 +163,7 @@ def describe(task: Task) -> dict[str, Any]:
             for symbol, value in zip(SYMBOLS, task.space.fixed, strict=True)
             if symbol not in searched
         },
-        "swarm": task.settings.variant,
+        "swarm": "proposed",
         "particles": task.settings.particles,
         "generations": task.settings.generations,
         "seeds": list(task.seeds),

@@ -10,8 +10,7 @@ import pytest
 
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import minimize
-from ampc_ros.pso.settings import PsoSettings
-from ampc_ros.pso.swarm import Swarm, to_json
+from ampc_ros.pso.swarm import PsoSettings, Swarm, swarm_to_json
 from launch_scripts.tune import command_of, main, parser, task_of
 from launch_scripts.tuning.files import Checkpoints, write_whole
 from launch_scripts.tuning.space import PRESETS, dimensions, gains_at, search_space
@@ -163,7 +162,7 @@ def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
     kept.save("x", swarm())
     loaded = kept.load("x")
     assert loaded is not None
-    assert json.dumps(to_json(loaded)) == json.dumps(to_json(swarm()))
+    assert json.dumps(swarm_to_json(loaded)) == json.dumps(swarm_to_json(swarm()))
     assert kept.load("y") is None
 
 
