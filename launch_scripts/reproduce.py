@@ -26,7 +26,7 @@ from launch_scripts.reporting.style import save_png, svg
 from launch_scripts.run.json_values import to_json
 from launch_scripts.run.machine import cpu_model
 from launch_scripts.study.claims import conclusions
-from launch_scripts.study.drives import SWITCHES, Switches
+from launch_scripts.study.drives import STUDY_SWITCHES, Switches
 from launch_scripts.study.figures import draw_figures
 from launch_scripts.study.measurements import StudyPlan, count_steps, measure_study, quick_plan
 from launch_scripts.study.page import study_page
@@ -52,7 +52,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
         action="append",
         default=[],
         metavar="NAME=READING",
-        help=f"source of one choice, NAME: {', '.join(SWITCHES)}",
+        help=f"source of one choice, NAME: {', '.join(STUDY_SWITCHES)}",
     )
     parser.add_argument("--quick", action="store_true", help="two roads and a tiny search")
     parser.add_argument("--pictures", type=Path, help="folder for PNG files of some figures")
@@ -80,11 +80,13 @@ def read_switches(reading: str, assignments: Sequence[str]) -> Switches:
     Raises:
         ValueError: Names an unknown switch or an unknown reading.
     """
-    names = set(SWITCHES) if reading == "authors_code" else set()
+    names = set(STUDY_SWITCHES) if reading == "authors_code" else set()
     for item in assignments:
         name, _, choice = item.partition("=")
-        if name not in SWITCHES:
-            raise ValueError(f"--switch {item}: {name!r} must be one of {', '.join(SWITCHES)}")
+        if name not in STUDY_SWITCHES:
+            raise ValueError(
+                f"--switch {item}: {name!r} must be one of {', '.join(STUDY_SWITCHES)}"
+            )
         if choice not in READINGS:
             raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(READINGS)}")
         (names.add if choice == "authors_code" else names.discard)(name)

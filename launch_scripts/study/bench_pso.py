@@ -34,10 +34,10 @@ from launch_scripts.study.pso_methods import (
     READING_VARIANTS,
     REPORTED,
     all_bars_hold,
-    curves,
     ordering_bars,
     reading_medians,
     readings,
+    search_curves,
 )
 
 mpl.use("Agg")
@@ -82,7 +82,7 @@ def measure_methods(
     """Run all methods on all problems, and all readings, in parallel."""
     with ProcessPoolExecutor(workers) as pool:
         runs = {
-            (problem.name, name): pool.submit(curves, method, problem, range(seeds))
+            (problem.name, name): pool.submit(search_curves, method, problem, range(seeds))
             for problem in PROBLEMS
             for name, method in METHODS.items()
         }

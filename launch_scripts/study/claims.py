@@ -19,7 +19,7 @@ BETTER = 1.1
 WIND_LOST = 3.0
 """Error from which a car in the wind has lost the path [m]."""
 YES, DIRECTION, NO = "yes", "direction only", "no"
-Parts = list[str | float]
+ClaimText = list[str | float]
 """Words and measured numbers in turn."""
 CONSTANT = (
     "At constant speed an adaptive model equals a fixed one: with the same gains both controllers "
@@ -68,8 +68,8 @@ class Claim(NamedTuple):
     """One claim of the paper and its verdict."""
 
     claim: str
-    paper: Parts
-    here: Parts
+    paper: ClaimText
+    here: ClaimText
     verdict: str
     why: str
 
@@ -86,7 +86,7 @@ def ratio_claim(results: Mapping[str, Any], road: str, other: str, words: str, w
     row = results["roads"][road]
     ratio, lost = row[other]["mse_m2"] / row["paper"]["mse_m2"], bool(row[other]["lost"])
     paper = PAPER_MSE[road][other] / PAPER_MSE[road]["paper"]
-    here: Parts = ["MSE ratio ", ratio, "; the other car is lost" if lost else ""]
+    here: ClaimText = ["MSE ratio ", ratio, "; the other car is lost" if lost else ""]
     if lost and "tyre" in results["switches"]:
         linear = results["switches"]["tyre"][road]
         linear_ratio = linear[other]["mse_m2"] / linear["paper"]["mse_m2"]
@@ -113,7 +113,7 @@ def pure_pursuit_claim(results: Mapping[str, Any]) -> Claim:
     metrics = results["roads"]["sc2"]["pure_pursuit"]
     trials = [t["mse"]["sc2"] for t in results["look_ahead"]["trials"] if "sc2" in t["mse"]]
     worst = max(trials, default=metrics["mse_m2"])
-    here: Parts = ["largest error ", metrics["max_error_m"], " m, MSE ", metrics["mse_m2"]]
+    here: ClaimText = ["largest error ", metrics["max_error_m"], " m, MSE ", metrics["mse_m2"]]
     here += [" m\u00b2; with the worst look-ahead of the grid ", worst, " m\u00b2"]
     return Claim(
         "Pure pursuit cannot drive Sc2",
@@ -131,7 +131,7 @@ def wind_claim(results: Mapping[str, Any], road: str, condition: str, why: str) 
     The wind is not the cause where the fixed model loses the path in calm air, too.
     """
     own, other = (results["wind_effect"][road][name] for name in ("paper", "classic"))
-    here: Parts = ["largest error AMPC ", own["wind_m"], " m, classic ", other["wind_m"]]
+    here: ClaimText = ["largest error AMPC ", own["wind_m"], " m, classic ", other["wind_m"]]
     here += [" m; in calm air ", own["calm_m"], " and ", other["calm_m"], " m"]
     verdict = YES if other["calm_m"] < WIND_LOST else DIRECTION
     return Claim(
@@ -151,7 +151,7 @@ def tuned_claim(results: Mapping[str, Any]) -> Claim:
         for name, words in (("paper_pso", "table"), ("paper_one", "one set"))
         if name in rows[0]
     }
-    here: Parts = ["MSE of Table 3 over MSE tuned"]
+    here: ClaimText = ["MSE of Table 3 over MSE tuned"]
     for words, values in ratios.items():
         here += [f", {words}: ", min(values), " to ", max(values)]
     values = next(iter(ratios.values()))

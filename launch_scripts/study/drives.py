@@ -23,7 +23,7 @@ from sim_vehicle.parameters import Vehicle, load_vehicle
 
 TUNED_TABLE = "paper_pso"
 """Shipped gain table of the paper's formulation, tuned by particle swarm; optional."""
-ROADS = {
+STUDY_ROADS = {
     "sc1": "Sc1",
     "sc2": "Sc2",
     "sc3_constant": "Sc3, 11 m/s",
@@ -32,7 +32,7 @@ ROADS = {
     "sc3_fast_wind": "Sc3, 18 m/s",
 }
 """Short titles of the scenarios."""
-FIXED_SPEED = {road: 9.0 if road in ("sc1", "sc2") else 11.0 for road in ROADS}
+FIXED_SPEED = {road: 9.0 if road in ("sc1", "sc2") else 11.0 for road in STUDY_ROADS}
 """Speed of a model that does not adapt: the initial speed of the paper's scenario [m/s]."""
 CONTENDERS = {
     "paper": "AMPC, Table 3",
@@ -49,7 +49,7 @@ DRIVE_SWITCHES = ("tyre", "plant", "speed", "horizon", "solver")
 """Differences between paper and authors' code that change a drive; the page explains each."""
 SEARCH_SWITCHES = ("schedule", "sizes", "bounds", "fitness")
 """Differences between paper and authors' code that change a search."""
-SWITCHES = (*DRIVE_SWITCHES, *SEARCH_SWITCHES)
+STUDY_SWITCHES = (*DRIVE_SWITCHES, *SEARCH_SWITCHES)
 Switches = frozenset[str]
 """Names of the switches that are set to the authors' code."""
 

@@ -21,7 +21,7 @@ from launch_scripts.reporting.style import (
 )
 from launch_scripts.run.simulated import SimulatedDrive, centre_of_gravity, ticks_until_lost
 from launch_scripts.study.claims import PAPER_MSE
-from launch_scripts.study.drives import CONTENDERS, ROADS
+from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 from launch_scripts.study.measurements import LOOK_AHEAD_DISTANCES
 from launch_scripts.study.pso_methods import GENERATIONS, METHOD_STYLES, REPORTED
 
@@ -37,7 +37,7 @@ PANELS = {
 SCALED_PANELS = ("error", "steering", "yaw_rate")
 """Panels whose range is that of the drives that stay on the path."""
 SHOWN_SWARMS = ("proposed", "linear", "damped", "classic", "Zhan's adaptive")
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
+CURVE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
 
 
 def draw_figures(
@@ -56,7 +56,7 @@ def draw_figures(
         curve = [t["time_s"] for t in own], [t["fitness_m2"] for t in own]
         look_ahead[f"at least {distance:g} m"] = curve
     weights = {
-        ROADS[road]: ([row["R"] for row in sweep], [row["mse_m2"][road] for row in sweep])
+        STUDY_ROADS[road]: ([row["R"] for row in sweep], [row["mse_m2"][road] for row in sweep])
         for road in sweep[0]["mse_m2"]
     }
     sc1 = PAPER_MSE["sc1"]
@@ -216,7 +216,7 @@ def draw_curves(
     """
     levels = levels or {}
     figure, (ax,) = stack([2.6])
-    colors = dict(zip((*curves, *levels), PALETTE * 2, strict=False))
+    colors = dict(zip((*curves, *levels), CURVE_COLORS * 2, strict=False))
     ax.set_yscale("log")
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

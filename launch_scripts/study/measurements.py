@@ -22,8 +22,8 @@ from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.drives import (
     DRIVE_SWITCHES,
     FIXED_SPEED,
-    ROADS,
     SEARCH_SWITCHES,
+    STUDY_ROADS,
     Switches,
     TunedGains,
     available_contenders,
@@ -39,9 +39,9 @@ from launch_scripts.study.pso_methods import (
     PROBLEMS,
     READING_VARIANTS,
     all_bars_hold,
-    curves,
     reading_medians,
     readings,
+    search_curves,
 )
 from launch_scripts.study.pso_variants import VariantSettings
 from launch_scripts.tuning.fleet_rows import Entry, drive_all
@@ -89,7 +89,7 @@ class StudyPlan(NamedTuple):
 
     switches: Switches
     """Switches that are set to the authors' code in all measurements."""
-    roads: tuple[str, ...] = tuple(ROADS)
+    roads: tuple[str, ...] = tuple(STUDY_ROADS)
     tuning_roads: tuple[str, ...] = TUNING_ROADS
     tuning_seeds: tuple[int, ...] = (1, 2, 3)
     swarm: tuple[tuple[str, int], ...] = ()
@@ -416,7 +416,7 @@ def measure_swarms(seeds_each: int, problems: int) -> dict[str, Any]:
     """Return the curves of the swarms on the sphere, final quartiles, medians of the readings."""
     seeds = range(seeds_each)
     runs = {
-        problem: {name: curves(METHODS[name], problem, seeds) for name in SWARMS}
+        problem: {name: search_curves(METHODS[name], problem, seeds) for name in SWARMS}
         for problem in PROBLEMS[:problems]
     }
     outcomes = {}

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from launch_scripts.reporting.page_html import STYLE, num
 from launch_scripts.study.claims import PAPER_MSE
-from launch_scripts.study.drives import CONTENDERS, ROADS
+from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 
 
 def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -21,7 +21,7 @@ def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
         results: Content of `results.json`.
         figures: SVG texts by name.
     """
-    labels = ROADS | CONTENDERS
+    labels = STUDY_ROADS | CONTENDERS
     page = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,

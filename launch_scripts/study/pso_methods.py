@@ -171,7 +171,7 @@ if importlib.util.find_spec("cma") is None:
     del METHODS["CMA-ES"]
 
 
-def curve(method: Method, problem: BenchmarkProblem, seed: int) -> Array:
+def search_curve(method: Method, problem: BenchmarkProblem, seed: int) -> Array:
     """Return the best value after each PARTICLES evaluations, (GENERATIONS + 1,)."""
     values: list[float] = []
 
@@ -185,9 +185,9 @@ def curve(method: Method, problem: BenchmarkProblem, seed: int) -> Array:
     return np.asarray(best[PARTICLES - 1 : BUDGET : PARTICLES])
 
 
-def curves(method: Method, problem: BenchmarkProblem, seeds: Iterable[int]) -> Array:
+def search_curves(method: Method, problem: BenchmarkProblem, seeds: Iterable[int]) -> Array:
     """Return the curves of several seeds, (seeds, GENERATIONS + 1)."""
-    return np.array([curve(method, problem, seed) for seed in seeds])
+    return np.array([search_curve(method, problem, seed) for seed in seeds])
 
 
 def readings() -> dict[str, dict[str, Any]]:
@@ -209,7 +209,7 @@ def reading_medians(name: str, seeds: Iterable[int]) -> Array:
     """Return the median final value of each of READING_VARIANTS under one reading."""
     changes, seeds = readings()[name], list(seeds)
     methods = [partial(swarm_search, comparison_settings(v, **changes)) for v in READING_VARIANTS]
-    finals = np.array([curves(method, PROBLEMS[0], seeds)[:, -1] for method in methods])
+    finals = np.array([search_curves(method, PROBLEMS[0], seeds)[:, -1] for method in methods])
     return np.asarray(np.median(finals, axis=1))
 
 

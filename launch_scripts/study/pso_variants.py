@@ -26,9 +26,9 @@ MEMBERSHIP = (
 """Membership of the evolutionary factor in each state: corners of the trapezium, values there."""
 DIRECTIONS = ((1.0, -1.0), (0.5, -0.5), (0.5, 0.5), (-1.0, 1.0))
 """Direction of the changes of c_1 and c_2 in each state."""
-RATE = (0.05, 0.1)
+RATE_RANGE = (0.05, 0.1)
 """Range of the change of c_1 and c_2 in a generation."""
-ACCELERATION = (1.5, 2.5)
+ACCELERATION_RANGE = (1.5, 2.5)
 """Range of c_1 and c_2."""
 MAX_SUM = 4.0
 """Upper bound of c_1 + c_2; above it both are scaled down."""
@@ -135,9 +135,9 @@ def classify_state(f: float, before: int) -> int:
 
 def adapt_weights(before: Weights, f: float, state: int, rng: np.random.Generator) -> Weights:
     """Return the inertia, a sigmoid of the factor, and the accelerations changed by the state."""
-    rates = rng.uniform(*RATE, 2)
+    rates = rng.uniform(*RATE_RANGE, 2)
     c = np.array(before[1:]) + np.array(DIRECTIONS[state]) * rates
-    c = np.clip(c, *ACCELERATION)
+    c = np.clip(c, *ACCELERATION_RANGE)
     c *= min(1.0, MAX_SUM / c.sum())
     return Weights(float(1 / (1 + 1.5 * np.exp(-2.6 * f))), float(c[0]), float(c[1]))
 

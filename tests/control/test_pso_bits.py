@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.paths.path import Array
-from ampc_ros.pso.minimize import Map, map_vectorized, minimize, search
+from ampc_ros.pso.minimize import MapFunction, map_vectorized, minimize, search
 from ampc_ros.pso.swarm import Dimension, Swarm, swarm_from_json, swarm_to_json
 from launch_scripts.study.pso_variants import VARIANTS, VariantSettings
 
@@ -22,7 +22,7 @@ def sphere(position: Array) -> float:
     return float(np.square(position).sum())
 
 
-def last_swarm(variant: str, *, seed: int = 1, map: Map = map) -> Swarm:
+def last_swarm(variant: str, *, seed: int = 1, map: MapFunction = map) -> Swarm:
     """Return the last generation of a search on PLANE."""
     chosen = VariantSettings(variant=variant)
     return minimize(sphere, PLANE, chosen, np.random.default_rng(seed), map).swarm

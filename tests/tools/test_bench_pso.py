@@ -33,9 +33,9 @@ from launch_scripts.study.pso_methods import (
     Cost,
     all_bars_hold,
     comparison_settings,
-    curve,
     readings,
     rosenbrock,
+    search_curve,
     shifted_sphere,
     sphere,
 )
@@ -73,18 +73,18 @@ def test_every_method_has_the_same_budget_and_stays_inside_the_bounds(method: st
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_curve_has_a_point_for_each_generation_falls_and_repeats(method: str) -> None:
-    best = curve(METHODS[method], SMALL, seed=3)
+    best = search_curve(METHODS[method], SMALL, seed=3)
     assert best.shape == (BUDGET // PARTICLES,)
     assert np.all(np.diff(best) <= 0)
-    assert np.array_equal(best, curve(METHODS[method], SMALL, seed=3))
-    assert not np.array_equal(best, curve(METHODS[method], SMALL, seed=4))
+    assert np.array_equal(best, search_curve(METHODS[method], SMALL, seed=3))
+    assert not np.array_equal(best, search_curve(METHODS[method], SMALL, seed=4))
 
 
 def test_the_curve_of_a_swarm_is_its_history() -> None:
     space = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(3)]
     rng = np.random.default_rng(3)
     best = minimize(sphere, space, comparison_settings("linear"), rng, map_vectorized)
-    assert np.array_equal(curve(METHODS["linear"], SMALL, seed=3), best.history)
+    assert np.array_equal(search_curve(METHODS["linear"], SMALL, seed=3), best.history)
 
 
 @pytest.mark.parametrize(

@@ -28,9 +28,9 @@ from launch_scripts.study.claims import (
 from launch_scripts.study.drives import (
     DRIVE_SWITCHES,
     FIXED_SPEED,
-    ROADS,
     SEARCH_SWITCHES,
-    SWITCHES,
+    STUDY_ROADS,
+    STUDY_SWITCHES,
     TunedGains,
     available_contenders,
     build_contender,
@@ -149,8 +149,8 @@ def test_bad_arguments_give_one_line(
 
 def test_a_switch_overrides_the_reading() -> None:
     assert read_switches("paper", []) == PAPER
-    assert read_switches("authors_code", []) == set(SWITCHES)
-    assert read_switches("authors_code", ["tyre=paper"]) == set(SWITCHES) - {"tyre"}
+    assert read_switches("authors_code", []) == set(STUDY_SWITCHES)
+    assert read_switches("authors_code", ["tyre=paper"]) == set(STUDY_SWITCHES) - {"tyre"}
     assert read_switches("paper", ["tyre=authors_code", "tyre=paper"]) == PAPER
 
 
@@ -295,6 +295,6 @@ def test_explanations_appear_only_with_a_complete_run_of_the_papers_reading(
 
 
 def test_names_fit_together() -> None:
-    assert set(PAPER_MSE) <= set(ROADS) == set(FIXED_SPEED)
+    assert set(PAPER_MSE) <= set(STUDY_ROADS) == set(FIXED_SPEED)
     assert set(CONTROLLER_STYLES) >= {"paper", "classic", "pure_pursuit", "preview"}
     assert to_json({"a": [math.inf, 1.0]}) == {"a": [None, 1.0]}

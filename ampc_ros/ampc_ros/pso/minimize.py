@@ -25,7 +25,7 @@ from ampc_ros.pso.swarm import (
     swarm_space,
 )
 
-Map = Callable[[Callable[..., Any], Array], Iterable[Any]]
+MapFunction = Callable[[Callable[..., Any], Array], Iterable[Any]]
 
 
 class Minimum(NamedTuple):
@@ -48,7 +48,7 @@ def minimize(
     bounds: Sequence[Dimension],
     settings: PsoSettings,
     rng: np.random.Generator,
-    map: Map = map,
+    map: MapFunction = map,
     resume: Swarm | None = None,
 ) -> Minimum:
     """Search for the position of least cost; arguments as of `search`."""
@@ -63,7 +63,7 @@ def search(
     bounds: Sequence[Dimension],
     settings: PsoSettings,
     rng: np.random.Generator,
-    map: Map = map,
+    map: MapFunction = map,
     resume: Swarm | None = None,
 ) -> Iterator[Swarm]:
     """Yield the swarm after each generation; a search can resume from each of them, bit for bit.
@@ -90,7 +90,7 @@ def search(
     def evaluate(position: Array) -> Array:
         nonlocal count
         count += len(position)
-        return _fitness(list(map(cost, _rounded(space, position))), len(position))
+        return _finite_fitness(list(map(cost, _rounded(space, position))), len(position))
 
     def generations(swarm: Swarm | None) -> Iterator[Swarm]:
         if swarm is None:
@@ -164,7 +164,7 @@ def _rounded(space: Space, position: Array) -> Array:
     return np.where(space.integer, np.rint(position), position)
 
 
-def _fitness(values: Sequence[Any], particles: int) -> Array:
+def _finite_fitness(values: Sequence[Any], particles: int) -> Array:
     """Return the values of the cost as an array; values that are not finite become infinite."""
     fitness = np.array(values, float)
     if fitness.shape != (particles,):
