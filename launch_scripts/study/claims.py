@@ -56,9 +56,9 @@ WIND_CLAIMS = (
     (
         "sc3_fast_wind",
         "at 18 m/s",
-        "As the paper says, the wind does not affect the AMPC, and the model fixed at 11 m/s loses "
-        "the path. But it loses the path in calm air, too: its loop is unstable at this speed. The "
-        "wind is not the cause.",
+        "As the paper says, the wind has no visible effect on the AMPC, and the model fixed at 11 "
+        "m/s loses the path. But it loses the path in calm air, too: its loop is unstable at this "
+        "speed. The wind is not the cause.",
     ),
 )
 """Road, condition and explanation."""

@@ -74,7 +74,7 @@ def test_a_cost_must_return_one_number_for_each_particle() -> None:
         ((Dimension("R", 0.1, 0.1),), "bounds: R.low = 0.1 must be below R.high = 0.1"),
         ((Dimension("R", math.nan, 1.0),), "bounds: R.low = nan must lie in [-1e+100, 1e+100]"),
         ((Dimension("R", 0.0, math.inf),), "bounds: R.high = inf must lie in [-1e+100, 1e+100]"),
-        ((Dimension("N", 1, 2.5, integer=True),), "bounds: N.high = 2.5 must be an integer"),
+        ((Dimension("N", 1, 2.5, integer=True),), "bounds: N.high = 2.5 must be a whole number"),
         ((*LINE, Dimension("y", 0.0, 1.0), *LINE), "bounds: x occurs 2 times"),
     ],
 )

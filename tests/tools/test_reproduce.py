@@ -282,6 +282,14 @@ def test_text_of_the_page_is_escaped(results: dict[str, Any]) -> None:
     assert text.count("&lt;i&gt;command&lt;/i&gt;") == 2
 
 
+def test_every_switch_is_explained_on_the_page(page: str) -> None:
+    changes = re.findall(r'<th scope="row">(\w+)</th>.*data-head="changes">(\w+)<', page)
+    assert changes == [
+        *((name, "drive") for name in DRIVE_SWITCHES),
+        *((name, "search") for name in SEARCH_SWITCHES),
+    ]
+
+
 def test_explanations_appear_only_with_a_complete_run_of_the_papers_reading(
     results: dict[str, Any],
 ) -> None:

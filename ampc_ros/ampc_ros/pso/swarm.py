@@ -185,7 +185,7 @@ def swarm_space(dimensions: Sequence[Dimension]) -> Space:
         for key, value in (("low", item.low), ("high", item.high)):
             check_range(f"bounds: {item.name}.{key}", value, BOUND_RANGE)
             if item.integer and value != int(value):
-                raise ValueError(f"bounds: {item.name}.{key} = {value!r} must be an integer")
+                raise ValueError(f"bounds: {item.name}.{key} = {value!r} must be a whole number")
         if item.low >= item.high:
             raise ValueError(
                 f"bounds: {item.name}.low = {item.low!r} must be below {item.name}.high = "
