@@ -1,9 +1,10 @@
-"""Drive every controller on every road, in one run with the same car and noise; who is how good?
+"""Compare controllers: drive each of them on each road, with the same car and noise.
 
 `python launch_scripts/compare.py --controllers preview preview=mine.yaml --scenarios sc1 road.csv`
-leaves a table, a heat map and a page in `runs/compare`. A controller is NAME or NAME=GAINS, where
-GAINS is a YAML file or a shipped table, so that one controller is compared with several of them.
-The exit code is 0, also where a controller loses the car, and 2 where an option is wrong.
+writes a table, a heat map and a page to `runs/compare`. A controller is NAME, NAME=GAINS with a
+YAML file or a shipped table, or `my_file.py:MyController` (a class with `period` and
+`step(state, path)`). The exit code is 0, even if a controller loses the car, and 2 if an option is
+invalid.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters, check_range
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_ros.configuration import CONTROLLERS, default_table
+from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, default_table
 from launch_scripts.comparing.cells import (
     QUANTITIES,
     Cell,
@@ -29,153 +30,152 @@ from launch_scripts.comparing.cells import (
     Contender,
     controller_of,
     drive_cell,
-    plant,
+    simulation_of,
 )
-from launch_scripts.comparing.page import write
-from launch_scripts.comparing.table import Comparison, table_of
+from launch_scripts.comparing.results import Comparison, terminal_table, write_comparison
+from launch_scripts.report import add_format_option
+from launch_scripts.run.options import controller_label, create_folder, resolve_controller
 from sim_vehicle.car import RANGES
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
-"""Roads of the paper, and those derived from them; they come first."""
+"""Roads of the paper and those derived from them, which are driven first."""
 WIDTH = 120
-"""Of the printed table, at least [characters]."""
+"""Smallest width of the printed table [characters]."""
 WRONG = 2
-"""Exit code where an option is wrong."""
+"""Exit code for an invalid option."""
 SEEDS = {"low": 0, "high": 2**31 - 1, "unit": ""}
 LAPS = {"low": 1, "high": 1000, "unit": ""}
 
 
 def roads() -> list[str]:
-    """Name the shipped scenarios, the paper's first."""
+    """Return the names of the shipped scenarios, those of the paper first."""
     return [*PAPERS, *(name for name in shipped("scenarios") if name not in PAPERS)]
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read the command line."""
+def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    names = f"{', '.join(CONTROLLERS)}, each with =GAINS or without; default: all"
+    names = f"{', '.join(CONTROLLERS)}, each also as NAME=GAINS, or FILE.py:CLASS; default: all"
     add("--controllers", nargs="+", metavar="NAME[=GAINS]", default=list(CONTROLLERS), help=names)
     names = f"{', '.join(roads())}, YAML or CSV files; default: all of these"
     add("--scenarios", nargs="+", metavar="ROAD", default=roads(), help=names)
-    add("--speed", type=float, default=-1.0, help="constant, on all roads [m/s]; -1: as given")
-    text = "largest along CSV files' paths [m/s^2]; -1: speed as given"
+    text = "constant speed on all roads [m/s]; -1: that of the road"
+    add("--speed", type=float, default=-1.0, help=text)
+    text = "largest lateral acceleration on CSV files [m/s^2]; -1: their own speed"
     add("--lateral-acceleration", type=float, default=-1.0, help=text)
-    add("--laps", type=int, default=1, help="of CSV files' closed paths")
-    add_conditions(parser, Conditions())
-    text = "of table and heat map; the page shows all; default: %(default)s"
+    add("--laps", type=int, default=1, help="number of laps on closed paths of CSV files")
+    default = Conditions()
+    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
+    text = "settings of all controllers; default: %(default)s"
+    add("--settings", default=default.settings, help=text)
+    text = "friction of the road, unknown to the controllers; default: that of the tyres"
+    add("--friction", type=float, default=default.friction, help=text)
+    text = "additional steering delay, unknown to the controllers [s]; default: 0"
+    add("--delay", type=float, default=default.delay, help=text)
+    add("--noise", default=default.noise, help="measurement noise, such as x1; default: none")
+    text = "seed of the noise, equal in all cells; default: 0"
+    add("--seed", type=int, default=default.seed, help=text)
+    text = "metric of table and heat map; the page shows all; default: %(default)s"
     add("--quantity", choices=QUANTITIES, default="rms", help=text)
     add("--output", type=Path, default=Path("runs/compare"), help="folder; default: %(default)s")
+    add_format_option(parser, "table, figures, or figures on the pages of one file")
     return parser.parse_args(arguments)
-
-
-def add_conditions(parser: argparse.ArgumentParser, default: Conditions) -> None:
-    """Add the options of what all cells share."""
-    add, unknown = parser.add_argument, "unknown to the controllers"
-    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
-    add("--settings", default=default.settings, help="of the controllers; default: %(default)s")
-    text = f"of the road, {unknown}; default: that of the tyres"
-    add("--friction", type=float, default=default.friction, help=text)
-    text = f"of the steering, on top of the car's own and {unknown} [s]; default: 0"
-    add("--delay", type=float, default=default.delay, help=text)
-    add("--noise", default=default.noise, help="of the measurement, such as x1; default: none")
-    text = "of the noise, the same in every cell; default: 0"
-    add("--seed", type=int, default=default.seed, help=text)
 
 
 @contextmanager
 def naming(option: str) -> Iterator[None]:
-    """Begin complaints with the option that is wrong."""
+    """Prefix the message of a ValueError with the invalid option."""
     try:
         yield
     except ValueError as error:
         raise ValueError(f"--{option}: {error}") from error
 
 
-def conditions_of(chosen: argparse.Namespace) -> Conditions:
-    """Check what all cells share.
+def conditions_of(options: argparse.Namespace) -> Conditions:
+    """Return the checked conditions of all cells.
 
     Raises:
         ValueError: Names option, value and bound.
     """
     with naming("vehicle"):
-        load_vehicle(find("vehicles", chosen.vehicle))
+        load_vehicle(find("vehicles", options.vehicle))
     with naming("settings"):
-        load(ControllerSettings, find("controllers", chosen.settings))
-    if chosen.noise:
+        load(ControllerSettings, find("controllers", options.settings))
+    if options.noise:
         with naming("noise"):
-            load(MeasurementNoise, find("noise", chosen.noise))
-    if chosen.friction is not None:
-        check_range("--friction", chosen.friction, RANGES["friction"])
+            load(MeasurementNoise, find("noise", options.noise))
+    if options.friction is not None:
+        check_range("--friction", options.friction, RANGES["friction"])
     with naming("delay"):
-        SteeringParameters(max_angle=1.0, delay=chosen.delay)
-    check_range("--seed", chosen.seed, SEEDS)
-    return Conditions(*(getattr(chosen, field) for field in Conditions._fields))
+        SteeringParameters(max_angle=1.0, delay=options.delay)
+    check_range("--seed", options.seed, SEEDS)
+    return Conditions(*(getattr(options, field) for field in Conditions._fields))
 
 
 def contenders_of(texts: Sequence[str], conditions: Conditions) -> list[Contender]:
-    """Read NAME or NAME=GAINS of each.
+    """Return a checked contender for each NAME[=GAINS].
 
     Raises:
-        ValueError: Names the entry, and what is known; or one stands there twice.
+        ValueError: Names the invalid or repeated entry.
     """
-    found = []
+    contenders = []
     for text in texts:
         with naming(f"controllers {text}"):
             contender = read_contender(text, conditions.vehicle)
             controller_of(contender, conditions)
-        found.append(contender)
-    check_once("controllers", [contender.label for contender in found])
-    return found
+        contenders.append(contender)
+    check_unique("controllers", [contender.label for contender in contenders])
+    return contenders
 
 
 def read_contender(text: str, vehicle: str) -> Contender:
-    """Read one entry; its label is what was typed, without the folder and ending of a file."""
-    name, given, gains = text.partition("=")
-    if name not in CONTROLLERS:
-        raise ValueError(f"{name!r} must be one of {', '.join(CONTROLLERS)}")
-    if not given:
-        return Contender(name, name, "" if name == "pure_pursuit" else default_table(name, vehicle))
-    if name == "pure_pursuit":
-        raise ValueError("pure_pursuit has no gains")
-    return Contender(f"{name}={find('gains', gains).stem}", name, gains)
+    """Return one contender; its label is the entry without folders and suffixes of files."""
+    name, equals, gains = text.partition("=")
+    label, controller = controller_label(name), resolve_controller(name)
+    if not equals:
+        table = default_table(name, vehicle) if name in DEFAULT_TABLES else ""
+        return Contender(label, controller, table)
+    if name not in DEFAULT_TABLES:
+        raise ValueError(f"{label} has no gains")
+    return Contender(f"{label}={find('gains', gains).stem}", controller, gains)
 
 
-def scenarios_of(chosen: argparse.Namespace, conditions: Conditions) -> list[Scenario]:
-    """Load the roads.
+def scenarios_of(options: argparse.Namespace, conditions: Conditions) -> list[Scenario]:
+    """Return the checked roads.
 
     Raises:
-        ValueError: Names the entry with file, key and value, or what is known, or is there twice.
+        ValueError: Names the invalid or repeated entry.
     """
-    check_range("--laps", chosen.laps, LAPS)
-    size, found = load_vehicle(find("vehicles", conditions.vehicle)).size, []
-    for text in chosen.scenarios:
+    check_range("--laps", options.laps, LAPS)
+    size, scenarios = load_vehicle(find("vehicles", conditions.vehicle)).size, []
+    for text in options.scenarios:
         scenario, path = ("", text) if text.endswith(".csv") else (text, "")
         with naming(f"scenarios {text}"):
-            route = Route(scenario, path, chosen.speed, chosen.lateral_acceleration, chosen.laps)
-            found.append(choose_scenario(route, size))
-            plant(conditions, found[-1])
-    check_once("scenarios", [scenario.name for scenario in found])
-    return found
+            route = Route(scenario, path, options.speed, options.lateral_acceleration, options.laps)
+            scenarios.append(choose_scenario(route, size))
+            simulation_of(conditions, scenarios[-1])
+    check_unique("scenarios", [scenario.name for scenario in scenarios])
+    return scenarios
 
 
-def check_once(option: str, labels: Sequence[str]) -> None:
-    """Complain of the first label that stands there twice."""
+def check_unique(option: str, labels: Sequence[str]) -> None:
+    """Raise a ValueError for the first label that occurs twice."""
     for i, label in enumerate(labels):
         if label in labels[:i]:
-            raise ValueError(f"--{option}: {label!r} is there twice; give one file another name")
+            raise ValueError(f"--{option}: {label!r} occurs twice; rename one of the files")
 
 
-def drive_all(
+def drive_cells(
     contenders: Sequence[Contender],
     scenarios: Sequence[Scenario],
     conditions: Conditions,
     console: Console,
 ) -> list[Cell]:
-    """Drive all cells, one after the other, so that no drive disturbs the time of another."""
+    """Drive all cells, one after the other, so that their solve times stay comparable."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     pairs = [(contender, scenario) for scenario in scenarios for contender in contenders]
     with Progress(*columns, TimeElapsedColumn(), console=console) as bar:
@@ -183,42 +183,27 @@ def drive_all(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, show, write; gives the exit code."""
-    chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    """Drive all cells, print and write the result, and return the exit code."""
+    options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
+    words = shlex.join(sys.argv[1:] if arguments is None else arguments)
     try:
-        run(chosen, f"python launch_scripts/compare.py {shlex.join(given)}".strip(), console)
+        conditions = conditions_of(options)
+        contenders = contenders_of(options.controllers, conditions)
+        scenarios = scenarios_of(options, conditions)
+        with naming("output"):
+            create_folder(options.output, exist_ok=True)
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
-    return 0
-
-
-def run(chosen: argparse.Namespace, command: str, console: Console) -> None:
-    """Do what is asked for.
-
-    Raises:
-        ValueError: In one sentence what is wrong.
-    """
-    conditions = conditions_of(chosen)
-    contenders = contenders_of(chosen.controllers, conditions)
-    scenarios = scenarios_of(chosen, conditions)
-    with naming("output"):
-        make_folder(chosen.output)
-    cells = drive_all(contenders, scenarios, conditions, console)
+    cells = drive_cells(contenders, scenarios, conditions, console)
+    command = f"python launch_scripts/compare.py {words}".strip()
     comparison = Comparison(command, conditions, contenders, scenarios, cells)
+    key = QUANTITIES[options.quantity]
     console.width = max(console.width, WIDTH)
-    console.print(table_of(comparison, chosen.quantity))
-    write(comparison, chosen.quantity, chosen.output)
-    console.print(f"page.html, compare.json, .md and .png: {chosen.output}", markup=False)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder; what an earlier comparison left in it is replaced."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"{folder}: cannot make this folder: {error.strerror}") from error
+    console.print(terminal_table(comparison, key))
+    files = write_comparison(comparison, key, options.output, options.format)
+    console.print(f"{', '.join(files)}: {options.output}", markup=False)
+    return 0
 
 
 if __name__ == "__main__":

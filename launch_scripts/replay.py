@@ -23,7 +23,7 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import shipped
-from ampc_msgs_config.metrics import Drive, evaluate
+from ampc_msgs_config.metrics import METRICS, RESULT, Drive, evaluate
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
@@ -39,7 +39,6 @@ from launch_scripts.replaying.repetition import (
     with_gains,
     with_value,
 )
-from launch_scripts.run.result import LABELS
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 
@@ -193,9 +192,10 @@ def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int
     closed = drive(simulation, Supervisor(config._replace(static_path=True)), start_ns)
     table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")
     before, after = (judged(each, run, config) for each in (recorded(run), closed))
-    for key, (label, unit) in LABELS.items():
-        if key in before and np.isfinite(before[key]) and not key.startswith("solve_time"):
-            table.add_row(label, f"{before[key]:.4g}", f"{after[key]:.4g}", unit)
+    for key in RESULT:
+        if np.isfinite(before[key]) and not key.startswith("solve_time"):
+            values = f"{before[key]:.4g}", f"{after[key]:.4g}"
+            table.add_row(METRICS[key].title, *values, METRICS[key].unit)
     console.print(table)
     return 0
 

@@ -1,8 +1,8 @@
-"""Report bags: one page that shows the drive and plays it, and its numbers as JSON.
+"""Report of one or several bags: a page that shows and plays the drive, and its metrics as JSON.
 
-`python launch_scripts/report.py runs/a/bag`, or several bags for a comparison side by side, of
-this controller or of any other. `--thresholds my_limits.yaml` makes it a test: the exit code is 0
-where all are held, 1 where one is not, 2 where something given is wrong.
+`python launch_scripts/report.py runs/a/bag`; several bags are compared side by side. Bags of other
+controllers work, too. With `--thresholds my_limits.yaml`, the exit code is 0 if all thresholds
+pass and 1 if one fails. The exit code is 2 if an argument or a bag is invalid.
 """
 
 import argparse
@@ -20,22 +20,21 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
-from launch_scripts.reporting.context import ReportInputs
-from launch_scripts.reporting.drive import Judged, judge_bag
-from launch_scripts.reporting.page import Judgement, page
-from launch_scripts.reporting.summary import QUANTITIES, Thresholds, verdicts
-from launch_scripts.reporting.tables import bound, measured, shown
+from ampc_msgs_config.metrics import METRICS
+from launch_scripts.reporting.drive import JudgedDrive, judge_bag
+from launch_scripts.reporting.page import NO_DATA, report_page, visible_metrics
+from launch_scripts.reporting.verdicts import Thresholds
 from launch_scripts.run.json_values import to_json
-from sim_vehicle.parameters import load_vehicle
 
 FAILED, WRONG = 1, 2
 """Exit codes."""
 WIDTH = 100
-"""Of the printed tables, at least [characters]."""
+"""Smallest width of the printed tables [characters]."""
+FORMATS = ("csv", "svg", "pdf")
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read the command line."""
+def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -43,56 +42,64 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--output",
         type=Path,
-        help="page to write (.html), or folder for report.html; default: beside the first bag",
+        help="page (.html), or folder for report.html; default: next to the first bag",
     )
-    parser.add_argument("--thresholds", type=Path, help="YAML of what must be held; see the docs")
+    parser.add_argument("--thresholds", type=Path, help="YAML file of limits; see the docs")
     parser.add_argument("--namespace", help="of the topics, as /car1; default: the first steered")
-    parser.add_argument("--vehicle", help="the car, name or YAML, of a bag that does not tell")
+    parser.add_argument("--vehicle", help="name or YAML file, for a bag without configuration")
+    add_format_option(parser, "time series, charts, or charts on the pages of one file")
     return parser.parse_args(arguments)
 
 
+def add_format_option(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add the option for further output files."""
+    text = f"further output files ({content}); default: none"
+    parser.add_argument("--format", nargs="+", choices=FORMATS, default=[], help=text)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Read, judge, write, show; gives the exit code."""
-    chosen, console = options(arguments), Console(highlight=False, soft_wrap=True)
+    """Read the bags, write page and JSON, print the tables, and return the exit code."""
+    options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
     console.width = max(console.width, WIDTH)
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    command = f"report {shlex.join(sys.argv[1:] if arguments is None else arguments)}"
     try:
-        limits = load(Thresholds, chosen.thresholds) if chosen.thresholds else None
-        vehicle = load_vehicle(find("vehicles", chosen.vehicle)) if chosen.vehicle else None
-        names = names_of(chosen.bags)
-        drives = [
-            judge_bag(bag, name, chosen.namespace, ReportInputs(vehicle))
-            for bag, name in zip(chosen.bags, names, strict=True)
-        ]
-        judgement = judge(drives, limits, chosen.thresholds)
-        file = page_file(chosen.output, chosen.bags[0])
-        write(file, drives, judgement, f"Made by report {shlex.join(given)}")
+        drives = judge_bags(options)
+        file = page_file(options.output, options.bags[0])
+        thresholds = options.thresholds.name if options.thresholds else ""
+        write_report(file, drives, thresholds, f"Written by {command}")
+        files = write_formats(file, drives, options.format)
     except (ValueError, OSError) as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
-    show(console, drives, judgement)
-    console.print(f"page and JSON: {file}, {file.with_suffix('.json')}", markup=False)
-    return FAILED if judgement is not None and not judgement.passed else 0
+    print_tables(console, drives, thresholds)
+    for each in (file, file.with_suffix(".json"), *files):
+        console.print(f"written: {each}", markup=False)
+    return FAILED if passed(drives) is False else 0
 
 
-def judge(
-    drives: Sequence[Judged], limits: Thresholds | None, file: Path | None
-) -> Judgement | None:
-    """Hold all drives against the thresholds, where there are some.
+def judge_bags(options: argparse.Namespace) -> list[JudgedDrive]:
+    """Read all bags.
 
     Raises:
-        ValueError: The file sets none.
+        ValueError: A bag, the vehicle or the thresholds are invalid.
     """
-    if limits is None or file is None:
-        return None
-    found = [verdicts(limits, drive.summary) for drive in drives]
-    if not found[0]:
-        raise ValueError(f"{file}: sets no threshold")
-    return Judgement(file.name, found)
+    vehicle = thresholds = None
+    if options.thresholds:
+        thresholds = load(Thresholds, options.thresholds)
+        if thresholds == Thresholds():
+            raise ValueError(f"{options.thresholds}: contains no threshold")
+    if options.vehicle:
+        from sim_vehicle.parameters import load_vehicle  # loads scenarios and wind
+
+        vehicle = load_vehicle(find("vehicles", options.vehicle))
+    return [
+        judge_bag(bag, name, options.namespace, vehicle, thresholds)
+        for bag, name in zip(options.bags, names_of(options.bags), strict=True)
+    ]
 
 
 def names_of(bags: Sequence[Path]) -> list[str]:
-    """Give bags names that tell them apart, as short as that allows."""
+    """Return different names for the bags, as short as possible."""
     parts = [bag.resolve().with_suffix("").parts for bag in bags]
     parts = [each[:-1] if each[-1] == "bag" and len(each) > 1 else each for each in parts]
     for depth in range(1, max(map(len, parts)) + 1):
@@ -103,87 +110,109 @@ def names_of(bags: Sequence[Path]) -> list[str]:
 
 
 def page_file(output: Path | None, first: Path) -> Path:
-    """Give the file of the page."""
+    """Return the file of the page."""
     if output is None:
         folder = first.resolve().parent
         return folder / ("report.html" if first.name == "bag" else f"{first.stem}_report.html")
     return output if output.suffix in (".html", ".htm") else output / "report.html"
 
 
-def write(
-    file: Path, drives: Sequence[Judged], judgement: Judgement | None, generated: str
-) -> None:
-    """Write the page, and beside it its numbers.
+def write_report(file: Path, drives: Sequence[JudgedDrive], thresholds: str, command: str) -> None:
+    """Write the page, and next to it the metrics as JSON.
+
+    Args:
+        file: HTML file to write.
+        drives: Content.
+        thresholds: Name of the file of thresholds, or nothing.
+        command: Text that names the command.
 
     Raises:
         OSError: The file cannot be written.
-        ValueError: The page becomes too large.
+        ValueError: The page would be too large.
     """
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    text = page(drives, judgement, f"{generated}, {now}")
+    page = report_page(drives, thresholds, f"{command}, {now}")
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(text, encoding="utf-8")
-    content = json.dumps(
-        to_json(numbers(drives, judgement)), indent=2, allow_nan=False, default=str
-    )
-    file.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+    file.write_text(page, encoding="utf-8")
+    content = to_json(json_content(drives, thresholds))
+    text = json.dumps(content, indent=2, allow_nan=False, default=str)
+    file.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
 
 
-def numbers(drives: Sequence[Judged], judgement: Judgement | None) -> dict[str, Any]:
-    """Give all that the page says in numbers, SI."""
-    found = judgement.verdicts if judgement else [[] for _ in drives]
+def write_formats(file: Path, drives: Sequence[JudgedDrive], formats: Sequence[str]) -> list[Path]:
+    """Write the further output files next to the page and return their names."""
+    if not formats:
+        return []
+    from launch_scripts.reporting.export import export_report  # loads matplotlib
+
+    return export_report(file, drives, formats)
+
+
+def passed(drives: Sequence[JudgedDrive]) -> bool | None:
+    """Return whether all thresholds pass; None without thresholds."""
+    verdicts = [verdict for drive in drives for verdict in drive.verdicts]
+    return all(verdict.passed for verdict in verdicts) if verdicts else None
+
+
+def json_content(drives: Sequence[JudgedDrive], thresholds: str) -> dict[str, Any]:
+    """Return all numbers of the page, in SI units."""
     return {
         "version": __version__,
-        "passed": judgement.passed if judgement else None,
-        "thresholds": judgement.file if judgement else None,
+        "passed": passed(drives),
+        "thresholds": thresholds or None,
         "drives": [
             {
                 "name": drive.name,
                 "bag": str(drive.columns.bag),
                 "namespace": drive.columns.namespace,
                 "start_ns": drive.columns.start_ns,
-                "controller": drive.known.controller or None,
-                "period": drive.period,
-                "summary": drive.summary,
-                "verdicts": [each._asdict() | {"passed": each.passed} for each in verdict],
+                "controller": drive.context.controller or None,
+                "period": drive.record.period,
+                "summary": drive.metrics,
+                "verdicts": [each._asdict() | {"passed": each.passed} for each in drive.verdicts],
                 "notes": drive.notes,
                 "configuration": drive.columns.configuration,
             }
-            for drive, verdict in zip(drives, found, strict=True)
+            for drive in drives
         ],
     }
 
 
-def show(console: Console, drives: Sequence[Judged], judgement: Judgement | None) -> None:
-    """Print summary, verdicts, and what is missing or odd."""
-    summary = Table(title="summary", title_justify="left")
+def print_tables(console: Console, drives: Sequence[JudgedDrive], thresholds: str) -> None:
+    """Print metrics, notes and verdicts."""
+    summary = Table()
     summary.add_column("quantity")
     for drive in drives:
         summary.add_column(Text(drive.name), justify="right")
     summary.add_column("unit")
-    for name, quantity in QUANTITIES.items():
-        values = [drive.summary[name] for drive in drives]
-        if any(value is not None for value in values):
-            cells = [shown(name, value) for value in values]
-            summary.add_row(quantity.label, *cells, quantity.unit)
+    for key, values in visible_metrics(drives):
+        metric = METRICS[key]
+        cells = [format_value(value, metric.scale) for value in values]
+        summary.add_row(metric.title, *cells, metric.unit)
     console.print(summary)
     for drive in drives:
         for note in drive.notes:
             console.print(f"note: {drive.name}: {note}", markup=False)
-    if judgement is not None:
-        console.print(verdict_table(drives, judgement))
+    if passed(drives) is not None:
+        console.print(verdict_table(drives, thresholds))
 
 
-def verdict_table(drives: Sequence[Judged], judgement: Judgement) -> Table:
-    """Lay the verdicts out for the terminal."""
-    result = Table(title=Text(judgement.file), title_justify="left")
+def format_value(value: float | None, scale: float) -> str:
+    """Return the displayed number of a metric."""
+    if value is None:
+        return NO_DATA
+    return f"{value:,}" if isinstance(value, int) else f"{value * scale:#.3g}".rstrip(".")
+
+
+def verdict_table(drives: Sequence[JudgedDrive], thresholds: str) -> Table:
+    """Return the verdicts as a table for the terminal."""
+    result = Table(title=Text(thresholds), title_justify="left")
     for heading in ("drive", "threshold", "measured", "bound", "verdict"):
         result.add_column(heading)
-    for drive, found in zip(drives, judgement.verdicts, strict=True):
-        for each in found:
+    for drive in drives:
+        for each in drive.verdicts:
             verdict = Text("pass", "green") if each.passed else Text("FAIL", "bold red")
-            cells = Text(drive.name), each.threshold, measured(each), bound(each)
-            result.add_row(*cells, verdict)
+            result.add_row(Text(drive.name), each.threshold, each.measured, each.bound, verdict)
     return result
 
 

@@ -1,8 +1,8 @@
-"""Drive once over ROS 2: simulator, planner, controller and recorder, then the result.
+"""Drive once over ROS 2 with simulator, planner, controller and recorder, and write the result.
 
 `python launch_scripts/start.py --scenario sc2`, or `--path my_road.csv --speed 9`. The exit code
-is 0 after a whole drive, 1 where a node died, 2 where an option is wrong, 3 where a node fell
-silent, 130 after Ctrl-C, 143 after SIGTERM.
+is 0 after a complete drive, 1 if a node died, 2 if an option is invalid, 3 if a node stopped
+publishing, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 import os
@@ -21,131 +21,132 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.bags.bag import is_complete
-from launch_scripts.recover import default_output, recover
 from launch_scripts.run.environment import ros_environment
-from launch_scripts.run.options import options, prepare
+from launch_scripts.run.options import Run, prepare, read_run_options
 from launch_scripts.run.processes import Processes
-from launch_scripts.run.result import Run, judge
 
 START_TIME_OUT = 180.0
-"""Wall time for the nodes to find each other, which includes compiling after an update [s]."""
+"""Wall time for the discovery of the nodes, including compilation after an update [s]."""
 FAULTY = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
-"""What the controller gets from the injector where there are faults."""
+"""Topics that the controller receives from the injector during fault injection."""
 GRACE_AFTER_NODE_DEATH = 1.5
-"""Wall time in which the others show, in real time, what they do without a lost node [s]."""
+"""Wall time during which the other nodes continue without a dead node, in real time [s]."""
 DISPENSABLE = {"markers"}
-"""Nodes without which a drive goes on."""
-WRONG_SET_UP = 2
-"""Exit code of this script and of a node whose options are wrong."""
+"""Nodes whose end does not end the drive."""
+NODE_DIED, WRONG_SET_UP = 1, 2
+"""Exit codes; a node with invalid options also ends with WRONG_SET_UP."""
 
 
-class Ending(Exception):
-    """What ended a run early, in one sentence, and the exit code."""
+class RunEnded(Exception):
+    """The run has ended; the text is the reason."""
 
-    def __init__(self, sentence: str, code: int) -> None:
-        """Note sentence and exit code."""
-        super().__init__(sentence)
+    def __init__(self, reason: str, code: int) -> None:
+        """Store reason and exit code."""
+        super().__init__(reason)
         self.code = code
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, judge, show; gives the exit code."""
-    chosen, console = options(arguments, __doc__), Console(highlight=False, soft_wrap=True)
+    """Drive, write and print the result, and return the exit code."""
+    options = read_run_options(arguments, __doc__)
+    console = Console(highlight=False, soft_wrap=True)
     os.environ.update(ros_environment())
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     try:
-        run = prepare(chosen)
-        return finish(run, drive(run, console), console)
+        run = prepare(options)
+        return finish(run, drive_run(run, console), console)
     except ValueError as error:
         print_error(console, error)
         return WRONG_SET_UP
-    except Ending as ending:
-        print_error(console, ending)
-        return ending.code
+    except RunEnded as ended:
+        print_error(console, ended)
+        return ended.code
 
 
 def interrupt(number: int, _: Any) -> NoReturn:
-    """End the run at a signal; the tidying up that follows is bounded in time and goes on."""
+    """End the run on a signal; further signals do not stop the shutdown, whose time is limited."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
-    raise Ending(f"interrupted by {signal.Signals(number).name}", 128 + number)
+    raise RunEnded(f"interrupted by {signal.Signals(number).name}", 128 + number)
 
 
-def drive(run: Run, console: Console) -> Ending:
-    """Start the nodes, follow the drive, end the nodes; tells how it ended."""
+def drive_run(run: Run, console: Console) -> RunEnded:
+    """Start the nodes, wait for the end of the drive, end the nodes, and return the reason."""
     try:
         with Processes(run.folder / "log") as nodes:
             try:
                 start_nodes(nodes, run)
                 follow(nodes, run.scenario, console)
-            except Ending as ending:
-                print_error(console, ending)
-                if ending.code == 1 and run.options["real_time"]:
-                    listen_to_the_others(nodes, console)
+            except RunEnded as ended:
+                print_error(console, ended)
+                if ended.code == NODE_DIED and run.options["real_time"]:
+                    print_reactions(nodes, console)
                 raise
-    except Ending as ending:
-        return ending
-    return Ending("completed", 0)
+    except RunEnded as ended:
+        return ended
+    return RunEnded("completed", 0)
 
 
 def start_nodes(nodes: Processes, run: Run) -> None:
-    """Start the nodes, the recorder first."""
-    given = run.options
-    lock_step = not (given["real_time"] or given["faults"])
-    common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": given["vehicle"]}
-    route = {key: given[key] for key in Route._fields}
-    control = {key: given[key] for key in ("controller", "settings", "gain_table", "guard")}
-    control["static_path"] = not given["faults"]  # published once, or anew by the injector
-    plant = {key: given[key] for key in ("friction", "noise", "seed", "time_out")}
+    """Start all nodes, the recorder first."""
+    # Parameters of each node
+    options = run.options
+    lock_step = not (options["real_time"] or options["faults"])
+    common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": options["vehicle"]}
+    route = {key: options[key] for key in Route._fields}
+    control = {key: options[key] for key in ("controller", "settings", "gain_table", "guard")}
+    control["static_path"] = not options["faults"]  # the injector publishes the path repeatedly
+    plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
-    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if given["faults"] else {}
-    if given["faults"]:
+    look = {key: common[key] for key in ("lock_step", "vehicle")}
+    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if options["faults"] else {}
+    if options["faults"]:
         record["topics"] = [f"{new}:{TYPES[topic]}" for topic, new in renamed.items()]
+    # Nodes
     nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record)
     nodes.start("planner", "ampc_ros.nodes.planner_node", common | route)
-    if given["faults"]:
-        nodes.start("injector", "launch_scripts.nodes.injector_node", {"faults": given["faults"]})
+    if options["faults"]:
+        faults = {"faults": options["faults"]}
+        nodes.start("injector", "launch_scripts.nodes.injector_node", faults)
     nodes.start("controller", "ampc_ros.nodes.controller_node", common | control, renamed)
     nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant)
-    look = {key: common[key] for key in ("lock_step", "vehicle")}
     nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
 
 
 def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
     """Show the progress until the simulator has ended the drive."""
-    from launch_scripts.nodes.drive_watch import DriveWatch  # needs the environment that main() set
+    from launch_scripts.nodes.drive_watch import DriveWatch  # needs the environment set by main()
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
-    told: set[str] = set()
+    printed: set[str] = set()
     with DriveWatch() as watch, Progress(*columns, TimeElapsedColumn(), console=console) as bar:
         task = bar.add_task(scenario.name, total=scenario.duration, at="starting")
         while not is_over(nodes):
             watch.look(0.1)
             if not watch.has_begun:
-                tell_what_compiles(nodes, console, told)
+                print_compilation(nodes, console, printed)
             else:
                 at = f"{watch.elapsed:.1f} of {scenario.duration:.1f} s, {watch.speed:.1f} m/s"
                 bar.update(task, completed=watch.elapsed, at=at)
         bar.update(task, completed=scenario.duration, at=f"{scenario.duration:.1f} s driven")
 
 
-def tell_what_compiles(nodes: Processes, console: Console, told: set[str]) -> None:
-    """Print what the nodes say about compiling, each line once."""
+def print_compilation(nodes: Processes, console: Console, printed: set[str]) -> None:
+    """Print the log lines of the nodes about compilation that are not in `printed` yet."""
     for name in nodes.running:
-        for line in nodes.words(name):
-            if line.startswith(("compiling", "compiled")) and line not in told:
-                told.add(line)
+        for line in nodes.lines(name):
+            if line.startswith(("compiling", "compiled")) and line not in printed:
+                printed.add(line)
                 console.print(line, markup=False)
 
 
 def is_over(nodes: Processes) -> bool:
-    """Tell whether the simulator has ended the drive.
+    """Return whether the simulator has ended the drive.
 
     Raises:
-        Ending: Another node has ended, or the simulator failed.
+        RunEnded: Another node has ended, or the simulator failed.
     """
     ended = nodes.ended()
     if ended.get("simulator") == 0:
@@ -154,48 +155,53 @@ def is_over(nodes: Processes) -> bool:
         if name in DISPENSABLE:
             continue
         if code < 0:
-            raise Ending(f"{name} was killed by {signal.Signals(-code).name}", 1)
-        raise Ending(f"{name} ended with exit code {code}: {nodes.last_line(name)}", code or 1)
+            raise RunEnded(f"{name} was killed by {signal.Signals(-code).name}", NODE_DIED)
+        last = nodes.last_line(name)
+        raise RunEnded(f"{name} ended with exit code {code}: {last}", code or NODE_DIED)
     return False
 
 
-def listen_to_the_others(nodes: Processes, console: Console) -> None:
-    """Let the nodes that are left show what they do without the lost one, and print it."""
+def print_reactions(nodes: Processes, console: Console) -> None:
+    """Let the remaining nodes continue for a short time, and print what they log."""
     left = [name for name in nodes.running if name not in nodes.ended()]
-    known = {name: len(nodes.words(name)) for name in left}
-    console.print(f"{', '.join(left)} go on for {GRACE_AFTER_NODE_DEATH:g} s, and are ended then:")
+    before = {name: len(nodes.lines(name)) for name in left}
+    console.print(f"{', '.join(left)} continue for {GRACE_AFTER_NODE_DEATH:g} s before they end:")
     time.sleep(GRACE_AFTER_NODE_DEATH)
     for name in left:
-        for line in nodes.words(name)[known[name] :]:
+        for line in nodes.lines(name)[before[name] :]:
             console.print(f"  {name}: {line}", markup=False)
 
 
 def print_error(console: Console, error: Exception) -> None:
-    """Print one sentence."""
+    """Print one line."""
     console.print(Text.assemble(("error:", "red"), f" {error}"))
 
 
-def finish(run: Run, ending: Ending, console: Console) -> int:
-    """Judge what was driven, show it, and give the exit code."""
+def finish(run: Run, ended: RunEnded, console: Console) -> int:
+    """Write and print the result, and return the exit code."""
+    # These modules load plotly, which the nodes need not wait for.
+    from launch_scripts.bags.bag import is_complete
+    from launch_scripts.run.result import write_result
+
     try:
-        console.print(judge(run, str(ending)))
-        console.print(
-            f"bag, report.html, metrics.json, drive.png and logs: {run.folder}", markup=False
-        )
+        console.print(write_result(run, str(ended)))
+        files = "bag, report.html, report.json, metrics.json, log"
+        console.print(f"{files}: {run.folder}", markup=False)
         if not is_complete(run.bag):
-            recover(run.bag, default_output(run.bag))
+            from launch_scripts.recover import default_output, recover
+
+            recovered = default_output(run.bag)
+            recover(run.bag, recovered)
             console.print(
-                "the bag was not closed; all but its last moments, whole: "
-                f"{default_output(run.bag)}",
-                markup=False,
+                f"the bag was not closed; complete except for its end: {recovered}", markup=False
             )
     except ValueError as error:
-        if ending.code == WRONG_SET_UP:
+        if ended.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)
         else:
-            console.print(f"nothing to judge: {error}; logs: {run.folder / 'log'}", markup=False)
-        return ending.code or 1
-    return ending.code
+            console.print(f"no result: {error}; logs: {run.folder / 'log'}", markup=False)
+        return ended.code or NODE_DIED
+    return ended.code
 
 
 if __name__ == "__main__":

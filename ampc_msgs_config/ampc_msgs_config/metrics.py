@@ -1,40 +1,144 @@
-"""Judges a finished drive."""
+"""Metrics of a finished drive: one table, from which every result, report and comparison selects.
+
+A metric is a function of a `DriveRecord`, which `record_of` builds from a drive and its path.
+"""
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config.paths.path import Array, Path, Progress
-from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
-from ampc_msgs_config.types import NANOSECONDS, VehicleState, at_distance
+from ampc_msgs_config.types import (
+    NANOSECONDS,
+    RUNGS,
+    SHIFTED_PLAN,
+    VehicleState,
+    at_distance,
+)
 
 REVERSAL_BAND = math.radians(0.2)
-"""Smaller movements of the road wheel are no reversal; 3 deg at a steering wheel geared 16 to 1."""
+"""Smallest movement of the road wheel that counts as a reversal; 3 deg at a steering wheel with a
+ratio of 16 to 1."""
 LOST = 10.0
 """Cross-track error beyond which a car counts as lost [m]."""
+AT_LIMIT = 1e-3
+"""Largest distance from the bound at which an angle counts as bounded [rad]."""
+DEG, MICRO = math.degrees(1.0), 1e6
+EMPTY = np.empty(0)
 
 
 class Drive(NamedTuple):
-    """What was measured and commanded at each control tick of a drive."""
+    """Measured states and commands of a drive, aligned by control tick."""
 
     states: list[VehicleState]
     """State that each command answers, at `base_link`."""
     steering: Array
     """Commanded angle (n,) [rad]."""
     solve_time: Array
-    """Time that the controller took, (m,) [s]."""
+    """Computation time of the controller, (m,) [s]."""
+
+
+class DriveRecord(NamedTuple):
+    """Input of all metrics. An empty array or None means that the quantity was not recorded."""
+
+    time: Array
+    """Time of each tick (n,) [s]."""
+    period: float
+    """Sample time of the controller [s]."""
+    error: Array = EMPTY
+    """Cross-track error of the centre of gravity at the ticks with a reference path (k,) [m]."""
+    heading: Array = EMPTY
+    """Heading error at these ticks (k,) [rad]."""
+    lateral: Array = EMPTY
+    """Y - Y_ref(X) (n,) [m]; nan where the path is not a graph over X."""
+    speed: Array = EMPTY
+    """Measured longitudinal speed (n,) [m/s]."""
+    yaw_rate: Array = EMPTY
+    """Measured yaw rate (n,) [rad/s]."""
+    steering: Array = EMPTY
+    """Commanded angle (n,) [rad]."""
+    angle_bound: Array | None = None
+    """Bound of the controller on the angle (n,) [rad]."""
+    solve_time: Array = EMPTY
+    """Computation time of the controller (m,) [s]."""
+    tick: Mapping[str, Array] = {}
+    """Published quantities of the controller by name, (m, 2): time [s] and value."""
+
+
+Value = float | None
+"""Value of a metric; None where the record does not contain the required quantities."""
+Function = Callable[[DriveRecord], Value]
+
+
+class Metric(NamedTuple):
+    """One number that describes a drive."""
+
+    key: str
+    """Name in JSON files; it contains the unit where this is not SI."""
+    title: str
+    unit: str
+    """Unit for display."""
+    direction: Literal["lower", "higher", "neutral"]
+    """Which values are better."""
+    function: Function
+    scale: float = 1.0
+    """Factor from the value to the displayed number."""
+    note: str = ""
+    """Definition, where the title is not enough."""
+
+
+def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
+    """Return the metrics of the result table by key.
+
+    Args:
+        drive: At least two ticks.
+        path: Reference path.
+        base_link_to_cg: Distance from the reference point of the states to the centre of gravity
+            [m].
+        period: Sample time of the controller [s].
+    """
+    record = record_of(drive, path, base_link_to_cg, period)
+    values = measure(RESULT, record)
+    return {key: math.nan if value is None else value for key, value in values.items()}
+
+
+def measure(keys: Iterable[str], record: DriveRecord) -> dict[str, Value]:
+    """Return the values of the metrics with the given keys."""
+    return {key: METRICS[key].function(record) for key in keys}
+
+
+def record_of(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> DriveRecord:
+    """Return the record of a drive along a path; for the arguments see `evaluate`."""
+    error, heading = errors(drive, path, base_link_to_cg).T
+    return DriveRecord(
+        ticks(drive),
+        period,
+        error,
+        heading,
+        lateral_errors(drive, path, base_link_to_cg),
+        np.array([state.v_x for state in drive.states]),
+        np.array([state.yaw_rate for state in drive.states]),
+        drive.steering,
+        solve_time=drive.solve_time,
+    )
 
 
 def errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
-    """Give cross-track [m] and heading error [rad] of the centre of gravity at each tick (n, 2)."""
+    """Return cross-track [m] and heading error [rad] of the centre of gravity (n, 2)."""
     progress = Progress(path)
     return np.array([progress.errors(at_distance(s, base_link_to_cg)) for s in drive.states])
 
 
 def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
-    """Give Y - Y_ref(X) (n,) [m], the paper's error; nan where the path is no graph over X."""
+    """Return Y - Y_ref(X) (n,) [m], the error of the paper.
+
+    All values are nan where the path is not a graph over X.
+    """
+    from ampc_msgs_config.paths.path_frame import path_frame, place, set_point  # not for a report
+
     try:
         frame = path_frame(path)
     except ValueError:
@@ -45,24 +149,24 @@ def lateral_errors(drive: Drive, path: Path, base_link_to_cg: float) -> Array:
 
 
 def ticks(drive: Drive) -> Array:
-    """Give the time of each tick since the first (n,) [s]."""
+    """Return the time of each tick since the first (n,) [s]."""
     stamps = np.array([state.stamp_ns for state in drive.states])
     return np.asarray((stamps - stamps[0]) / NANOSECONDS)
 
 
 def rms(values: Array) -> float:
-    """Give the root of the mean square."""
+    """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def missed_ticks(time: Array, period: float) -> int:
-    """Count the ticks that are missing between stamps (n,) [s] of a controller of this period."""
+    """Return the number of missing ticks between stamps (n,) [s] for a sample time [s]."""
     gaps = np.rint(np.diff(time) / period).astype(int)
     return int(np.maximum(gaps - 1, 0).sum())
 
 
 def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:
-    """Count how often a wheel (n,) [rad] turns back by more than `band` [rad]."""
+    """Count the direction changes of a wheel angle (n,) [rad] that exceed `band` [rad]."""
     count, direction, low, high = 0, 0, math.inf, -math.inf
     for value in angle.tolist():
         low, high = min(low, value), max(high, value)
@@ -76,42 +180,217 @@ def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:
 
 
 def time_where(time: Array, active: NDArray[np.bool_]) -> float:
-    """Give how long something was active [s]; each tick (n,) [s] counts up to the next one."""
+    """Return the duration of an active state [s]; each tick (n,) [s] lasts until the next one."""
     lasting = np.diff(time)
     return float(lasting[active[:-1]].sum())
 
 
 def distance_driven(time: Array, speed: Array) -> float:
-    """Give the integral of the speed (n,) [m/s] over time (n,) [s], in [m]."""
+    """Return the integral of the speed (n,) [m/s] over time (n,) [s], in [m]."""
     return float(np.sum(np.diff(time) * (np.abs(speed[1:]) + np.abs(speed[:-1])) / 2))
 
 
-def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
-    """Give the numbers of the result table; the unit stands in the name where it is not SI.
+def of(field: str, function: Callable[[Array], float], least: int = 1) -> Function:
+    """Return the metric function of one field; it needs at least `least` values."""
 
-    Args:
-        drive: At least two ticks.
-        path: The reference.
-        base_link_to_cg: From the point that the states describe to the centre of gravity [m].
-        period: Of the controller [s].
-    """
-    error, heading = errors(drive, path, base_link_to_cg).T
-    lateral = lateral_errors(drive, path, base_link_to_cg)
-    increments = np.degrees(np.diff(drive.steering))
-    solve_us = drive.solve_time * 1e6
-    return {
-        "ticks": len(drive.states),
-        "missed_ticks": missed_ticks(ticks(drive), period),
-        "mse_m2": float(np.mean(error**2)),
-        "mse_lateral_m2": float(np.mean(lateral**2)),
-        "rms_error_m": rms(error),
-        "p95_error_m": float(np.percentile(np.abs(error), 95)),
-        "max_error_m": float(np.abs(error).max()),
-        "rms_heading_error_deg": math.degrees(rms(heading)),
-        "steering_rms_increment_deg": rms(increments),
-        "steering_reversals": reversals(drive.steering),
-        "steering_max_deg": float(np.degrees(np.abs(drive.steering).max())),
-        "solve_time_p50_us": float(np.percentile(solve_us, 50)),
-        "solve_time_p99_us": float(np.percentile(solve_us, 99)),
-        "solve_time_max_us": float(solve_us.max()),
-    }
+    def value(record: DriveRecord) -> Value:
+        values: Array = getattr(record, field)
+        return function(values) if len(values) >= least else None
+
+    return value
+
+
+def of_tick(name: str, function: Callable[[Array, Array], float]) -> Function:
+    """Return the metric function of time (m,) [s] and values (m,) of one published quantity."""
+
+    def value(record: DriveRecord) -> Value:
+        rows = record.tick.get(name, EMPTY)
+        return function(*rows.T) if len(rows) else None
+
+    return value
+
+
+def largest(values: Array) -> float:
+    """Return the largest absolute value."""
+    return float(np.abs(values).max())
+
+
+def percentile(share: float, scale: float = 1.0) -> Callable[[Array], float]:
+    """Return the function for a percentile of the absolute values, each times `scale`."""
+    return lambda values: float(np.percentile(np.abs(values) * scale, share))
+
+
+def last_rms(seconds: float) -> Function:
+    """Return the metric function of the RMS cross-track error of the last seconds [m]."""
+    return lambda record: rms(record.error[-round(seconds / record.period) :])
+
+
+def reversal_rate(record: DriveRecord) -> Value:
+    """Return the reversals per second [1/s]; the duration counts as one period at least."""
+    if len(record.steering) < 2:
+        return None
+    duration = float(record.time[-1] - record.time[0])
+    return reversals(record.steering) / max(duration, record.period)
+
+
+def time_at_limit(record: DriveRecord) -> Value:
+    """Return the duration of commands within `AT_LIMIT` of the angle bound [s]."""
+    if record.angle_bound is None or len(record.steering) < 2:
+        return None
+    return time_where(record.time, np.abs(record.steering) >= record.angle_bound - AT_LIMIT)
+
+
+def count_begins(_: Array, flag: Array) -> int:
+    """Return the number of times that a flag is set."""
+    return int((np.diff(flag > 0, prepend=0) > 0).sum())
+
+
+def time_nonzero(time: Array, values: Array) -> float:
+    """Return the duration in which a quantity is not zero [s]."""
+    return time_where(time, values != 0)
+
+
+def mean_square(values: Array) -> float:
+    """Return the mean of the squares."""
+    return float(np.mean(values**2))
+
+
+def diverged(error: Array) -> float:
+    """Return 1 where the car is lost at the end of the drive, else 0."""
+    return float(not abs(error[-1]) < LOST)
+
+
+def rms_increment_deg(angle: Array) -> float:
+    """Return the RMS increment of an angle (n,) [rad] in [deg]."""
+    return rms(np.degrees(np.diff(angle)))
+
+
+def rung_metrics() -> Iterator[Metric]:
+    """Yield the number of ticks on each rung of the fallback."""
+    for k, name in enumerate(RUNGS):
+        count = of_tick("rung", lambda _, rung, k=k: int((rung == k).sum()))
+        yield Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", "neutral", count)
+
+
+def solve_time_metrics() -> Iterator[Metric]:
+    """Yield the percentiles of the solve time, in seconds and in microseconds."""
+    shares = {"median": ("p50", 50.0), "p99": ("p99", 99.0), "max": ("max", 100.0)}
+    for key, title in (("median", "median"), ("p99", "99th percentile"), ("max", "largest")):
+        name, share = shares[key]
+        words = f"Solve time, {title}", "\u00b5s", "lower"
+        yield Metric(f"solve_time_{key}", *words, of("solve_time", percentile(share)), MICRO)
+        function = of("solve_time", percentile(share, MICRO))
+        yield Metric(f"solve_time_{name}_us", *words, function)
+
+
+# Title, unit, direction and function of metrics that JSON files contain under two keys.
+RMS = "RMS cross-track error", "m", "lower", of("error", rms)
+P95 = "95th percentile of the cross-track error", "m", "lower", of("error", percentile(95))
+MAX = "Largest cross-track error", "m", "lower", of("error", largest)
+ANGLE = "Largest steering angle", "deg", "lower"
+EFFORT = "Steering effort", "deg/tick", "lower"
+BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
+TABLE: tuple[Metric, ...] = (
+    # Drive
+    Metric("ticks", "Ticks", "", "neutral", of("time", len)),
+    Metric("missed_ticks", "Missed ticks", "", "lower", lambda r: missed_ticks(r.time, r.period)),
+    Metric("duration", "Duration", "s", "neutral", of("time", lambda t: float(t[-1] - t[0]))),
+    Metric("distance", "Distance", "m", "neutral", lambda r: distance_driven(r.time, r.speed)),
+    # Tracking error
+    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", "lower", of("error", mean_square)),
+    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2", "lower", of("lateral", mean_square)),
+    Metric("rms_error_m", *RMS),
+    Metric("p95_error_m", *P95),
+    Metric("max_error_m", *MAX),
+    Metric("rms_cross_track_error", *RMS),
+    Metric("p95_cross_track_error", *P95, note="of the absolute value"),
+    Metric("max_cross_track_error", *MAX),
+    Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", "lower", last_rms(3.0)),
+    Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", "lower", last_rms(5.0)),
+    Metric("diverged", "Lost at the end", "", "lower", of("error", diverged)),
+    Metric("rms_heading_error", "RMS heading error", "deg", "lower", of("heading", rms), DEG),
+    Metric(
+        "rms_heading_error_deg",
+        *("RMS heading error", "deg", "lower"),
+        of("heading", lambda heading: math.degrees(rms(heading))),
+    ),
+    # Car and steering
+    Metric(
+        "max_lateral_acceleration",
+        *("Largest lateral acceleration", "m/s\u00b2", "lower"),
+        lambda r: largest(r.speed * r.yaw_rate),
+        note="speed times yaw rate",
+    ),
+    Metric("steering_max_deg", *ANGLE, of("steering", lambda u: float(np.degrees(largest(u))))),
+    Metric("max_steering", *ANGLE, of("steering", largest, 2), DEG),
+    Metric(
+        "steering_range_deg",
+        *("Range of the steering angle", "deg", "lower"),
+        of("steering", lambda angle: math.degrees(np.ptp(angle))),
+    ),
+    Metric("steering_rms_increment_deg", *EFFORT, of("steering", rms_increment_deg, 2)),
+    Metric(
+        "steering_effort",
+        *EFFORT,
+        of("steering", lambda angle: rms(np.diff(angle)), 2),
+        DEG,
+        "RMS increment of the command",
+    ),
+    Metric(
+        "steering_reversals",
+        *("Steering reversals", "", "lower"),
+        of("steering", reversals, 2),
+        note=BAND,
+    ),
+    Metric(
+        "steering_reversal_rate",
+        *("Steering reversals per second", "1/s", "lower"),
+        reversal_rate,
+        note=BAND,
+    ),
+    Metric(
+        "time_at_limit",
+        *("Time at the angle bound", "s", "lower"),
+        time_at_limit,
+        note="command within 1 mrad of the bound",
+    ),
+    # Controller
+    Metric(
+        "time_constrained",
+        *("Time with active constraints", "s", "lower"),
+        of_tick("active_constraints", time_nonzero),
+        note="of the controller",
+    ),
+    Metric(
+        "time_clipped",
+        *("Time clipped by the guard", "s", "lower"),
+        of_tick("clipped", time_nonzero),
+    ),
+    Metric(
+        "fall_backs",
+        *("Fallback", "ticks", "lower"),
+        of_tick("rung", lambda _, rung: int((rung >= SHIFTED_PLAN).sum())),
+        note="ticks below the rung 'slack'",
+    ),
+    *rung_metrics(),
+    Metric(
+        "unsolved_ticks",
+        *("Unsolved QPs", "ticks", "lower"),
+        of_tick("converged", lambda _, converged: int((converged == 0).sum())),
+    ),
+    Metric(
+        "stop_requests",
+        *("Stop requests", "", "lower"),
+        of_tick("stop_requested", count_begins),
+        note="number of times that a request begins",
+    ),
+    *solve_time_metrics(),
+)
+METRICS = {metric.key: metric for metric in TABLE}
+RESULT = (
+    *("ticks", "missed_ticks", "mse_m2", "mse_lateral_m2", "rms_error_m", "p95_error_m"),
+    *("max_error_m", "rms_heading_error_deg", "steering_rms_increment_deg"),
+    *("steering_reversals", "steering_max_deg"),
+    *("solve_time_p50_us", "solve_time_p99_us", "solve_time_max_us"),
+)
+"""Keys of the result of a run."""

@@ -1,4 +1,4 @@
-"""Follows a running drive from outside, for a progress bar."""
+"""Progress of a running drive, from its odometry."""
 
 import time
 from typing import Any
@@ -12,10 +12,10 @@ from ampc_msgs_config.types import NANOSECONDS
 
 
 class DriveWatch:
-    """Listens to `odom`; a context manager."""
+    """Subscriber of `odom`; a context manager."""
 
     def __enter__(self) -> "DriveWatch":
-        """Join the graph; signals stay with the caller."""
+        """Create the node; signal handlers of the caller remain."""
         self.elapsed = self.speed = 0.0
         self.start_ns: int | None = None
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -24,7 +24,7 @@ class DriveWatch:
         return self
 
     def __exit__(self, *_: Any) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self.node.destroy_node()
         rclpy.try_shutdown()
 
@@ -34,14 +34,14 @@ class DriveWatch:
         return self.start_ns is not None
 
     def look(self, wall_time: float) -> None:
-        """Wait [s], then take in the newest state; the first one ends the wait."""
+        """Wait for a time [s], then read the newest state; the first state ends the wait."""
         if self.has_begun:
             time.sleep(wall_time)
             wall_time = 0.0
         rclpy.spin_once(self.node, timeout_sec=wall_time)
 
     def on_odometry(self, message: Odometry) -> None:
-        """Note time since the start [s] and speed [m/s]."""
+        """Store time since the start [s] and speed [m/s]."""
         stamp_ns = ros.nanoseconds(message.header.stamp)
         if self.start_ns is None:
             self.start_ns = stamp_ns

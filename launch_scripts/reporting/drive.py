@@ -1,94 +1,188 @@
-"""One bag of a report: its drive, judged."""
+"""A recorded drive with its metrics: `BagColumns` of a bag -> `JudgedDrive` of the report."""
 
+from collections.abc import Mapping
 from pathlib import Path as File
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.metrics import Drive, errors
+from ampc_msgs_config.config import build
+from ampc_msgs_config.metrics import Drive, DriveRecord, Value, errors, measure
+from ampc_msgs_config.parameters import (
+    ChassisParameters,
+    Checked,
+    ControllerSettings,
+    GuardLimits,
+    SizeParameters,
+    SteeringParameters,
+)
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import VehicleState
+from ampc_ros.mpc.internal_model import limits_of
+from ampc_ros.preview.model import angle_bound
+from ampc_ros.preview.programme import FRICTION_SHARE
+from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-from launch_scripts.reporting.context import ReportInputs, RunContext, run_context_of
-from launch_scripts.reporting.summary import Summary, SupervisionSummary, summarize
+from launch_scripts.reporting.verdicts import SUMMARY, Thresholds, Verdict, check_thresholds
 
+if TYPE_CHECKING:
+    from sim_vehicle.parameters import Vehicle
+
+T = TypeVar("T", bound=Checked)
 NO_POINTS = np.empty((0, 2))
-WORDS = (-1.0, 1000.0)
-"""A quantity that counts words is none beyond these."""
+INDEX_RANGE = (-1.0, 1000.0)
+"""Range to which indices of rungs, reasons and limits are clipped before they become integers."""
 MISSING = {
-    ros.STEERING_COMMAND: "no steering_command: steering is left out, and every state is judged",
-    ros.REFERENCE_PATH: "no reference_path: errors are left out",
+    ros.STEERING_COMMAND: "no steering_command: no steering metrics, every state counts as a tick",
+    ros.REFERENCE_PATH: "no reference_path: no tracking errors",
     ros.TARGET_SPEED: "no target_speed",
-    ros.STEERING_STATE: "no steering_state: the measured angle is left out",
+    ros.STEERING_STATE: "no steering_state: no measured angle",
     ros.WIND: "no wind",
 }
+"""Consequence of each missing topic."""
+OUTLINE = SizeParameters(width=1.8, front_overhang=0.9, rear_overhang=1.0)
+"""Assumed size of a car that the bag does not describe."""
+WHEELBASE = 2.7
+"""Assumed wheelbase of a car that the bag does not describe [m]."""
 
 
-class Judged(NamedTuple):
-    """A drive and what is to be said about it; times are since the first command [s]."""
+class RunContext(NamedTuple):
+    """Controller and car of a drive; None where neither the bag nor the user names them."""
+
+    controller: str
+    version: str
+    chassis: ChassisParameters | None
+    steering: SteeringParameters | None
+    settings: ControllerSettings | None
+    size: SizeParameters | None
+    guard: GuardLimits | None
+    to_cg: float
+    """Distance from the point that `odom` describes forward to the centre of gravity [m]."""
+    notes: list[str]
+
+    @property
+    def outline(self) -> Array:
+        """Corners (n, 2) of the car from above, about the point that `odom` describes [m]."""
+        size, wheelbase, rear_axle = self.size or OUTLINE, WHEELBASE, 0.0
+        if self.chassis is not None:
+            wheelbase = self.chassis.wheelbase
+            rear_axle = self.to_cg - self.chassis.cg_to_rear_axle
+        rear, half = rear_axle - size.rear_overhang, size.width / 2
+        front = rear_axle + wheelbase + size.front_overhang
+        nose = front - 0.35 * size.width  # narrower in front, so that the heading is visible
+        right = [(rear, -half), (nose, -half), (front, -0.6 * half)]
+        return np.array([*right, *((x, -y) for x, y in reversed(right)), right[0]])
+
+    def angle_bound(self, speed: Array) -> Array | None:
+        """Return the controller's bound of the angle at speeds (n,) [m/s], in [rad]."""
+        if self.settings is None:
+            return None
+        limits = limits_of(self.settings, self.steering)
+        if self.chassis is None or self.controller != "preview":
+            return np.full(len(speed), limits.u_max)
+        row = (*vars(self.chassis).values(),)
+        most = FRICTION_SHARE * limits.mu_g
+        return np.array([angle_bound(row, v, limits.u_max, most) for v in speed.tolist()])
+
+    def guard_bound(self, speed: Array) -> Array | None:
+        """Return the guard's bound of the angle at speeds (n,) [m/s], in [rad]."""
+        if self.guard is None or self.chassis is None:
+            return None
+        limits = (bounds(self.guard, self.chassis, v) for v in speed.tolist())
+        return np.array([min(each.angle, each.acceleration) for each in limits])
+
+
+class JudgedDrive(NamedTuple):
+    """A recorded drive with metrics and verdicts; times are since the first command [s]."""
 
     name: str
     columns: BagColumns
-    known: RunContext
-    time: Array
-    """Of the ticks (n,) [s]."""
+    context: RunContext
+    record: DriveRecord
+    """Time, steering and further quantities at the ticks."""
     states: Array
     """x, y, yaw, v_x, v_y, yaw rate at the ticks (n, 6)."""
-    steering: Array
-    """Commanded at the ticks (n,) [rad]; empty where the bag has no command."""
     errors: Array
     """Cross-track [m] and heading error [rad] at the ticks (n, 2); nan without a reference."""
-    period: float
-    """Of the controller [s]."""
-    summary: Summary
+    metrics: dict[str, Value]
+    """By key of `SUMMARY`; None where the bag lacks the data."""
+    verdicts: list[Verdict]
+    """Result of each threshold that was set."""
     notes: list[str]
-    """What is missing or odd, each in a sentence."""
+    """Missing or unusual data, one sentence each."""
 
 
-def judge_bag(bag: File, name: str, namespace: str | None, given: ReportInputs) -> Judged:
-    """Read a bag and judge its drive.
+def judge_bag(
+    bag: File,
+    name: str,
+    namespace: str | None = None,
+    vehicle: "Vehicle | None" = None,
+    thresholds: Thresholds | None = None,
+) -> JudgedDrive:
+    """Read a bag and compute the metrics of its drive.
+
+    Args:
+        bag: Folder of the bag, or one MCAP file.
+        name: Name in tables and legends.
+        namespace: Prefix of the topics; default: see `read_columns`.
+        vehicle: Car of a bag without a configuration.
+        thresholds: Limits of the metrics.
 
     Raises:
-        ValueError: One line that names the bag and what is wrong.
+        ValueError: Names the bag and the cause in one line.
     """
-    return judge_columns(read_columns(bag, namespace), name, given)
+    columns = read_columns(bag, namespace)
+    return judge_columns(columns, name, run_context_of(columns, vehicle), thresholds)
 
 
-def judge_columns(columns: BagColumns, name: str, given: ReportInputs) -> Judged:
-    """Judge a drive that has been read.
+def judge_columns(
+    columns: BagColumns, name: str, context: RunContext, thresholds: Thresholds | None = None
+) -> JudgedDrive:
+    """Compute the metrics of a drive; for the arguments see `judge_bag`.
 
     Raises:
-        ValueError: The bag holds less than two states.
+        ValueError: The bag contains fewer than two states.
     """
-    known = run_context_of(columns, given)
-    notes = [*columns.notes, *known.notes, *missing(columns)]
+    notes = [*columns.notes, *context.notes, *missing(columns)]
     rows, steering = ticks_of(columns, notes)
     if len(rows) < 2:
         raise ValueError(f"{columns.bag}: {len(rows)} usable states, 2 are needed")
-    time = rows[:, 0]
-    period = known.settings.sample_time if known.settings else float(np.median(np.diff(time)))
-    error = errors_of(columns, states_of(rows, columns.start_ns), time, known.to_cg, notes)
-    told = SupervisionSummary(time, rows[:, 1:], steering, error, period, columns, known)
-    return Judged(
-        name, columns, known, time, rows[:, 1:], steering, error, period, summarize(told), notes
+    time, states = rows[:, 0], rows[:, 1:]
+    settings = context.settings
+    period = settings.sample_time if settings else float(np.median(np.diff(time)))
+    error = errors_of(columns, states_of(rows, columns.start_ns), time, context.to_cg, notes)
+    tick = {"stop_requested": columns.values.get(ros.STOP_REQUEST, NO_POINTS), **columns.tick}
+    record = DriveRecord(
+        time,
+        period,
+        *error[np.isfinite(error[:, 0])].T,
+        speed=states[:, 3],
+        yaw_rate=states[:, 5],
+        steering=steering,
+        angle_bound=context.angle_bound(states[:, 3]),
+        solve_time=tick.get("solve_time", NO_POINTS)[:, 1],
+        tick=tick,
     )
+    metrics = measure(SUMMARY, record)
+    verdicts = check_thresholds(thresholds, metrics) if thresholds else []
+    return JudgedDrive(name, columns, context, record, states, error, metrics, verdicts, notes)
 
 
 def missing(columns: BagColumns) -> list[str]:
-    """Say in one sentence which topics are not there."""
+    """Return one sentence that lists the missing topics, or nothing."""
     absent = [text for topic, text in MISSING.items() if topic not in columns.values]
     if not columns.tick:
-        absent.append("no controller/tick: gains, constraints, solve time and faults are left out")
+        absent.append("no controller/tick: no gains, constraints, solve time and faults")
     elif ros.TICK not in columns.values:
-        absent.append("no controller/tick: faults, fall-backs and guard are left out")
-    return [f"The bag holds {'; '.join(absent)}."] if absent else []
+        absent.append("no controller/tick: no faults, fallbacks and guard")
+    return [f"The bag contains {'; '.join(absent)}."] if absent else []
 
 
 def ticks_of(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
-    """Give time and state of each tick (n, 7), and the commanded angle (n,) [rad]."""
+    """Return time and state of each tick (n, 7), and the commanded angle (n,) [rad]."""
     odom = columns.values[ros.ODOM]
     commands = columns.values.get(ros.STEERING_COMMAND, NO_POINTS)
     if not len(commands):
@@ -96,7 +190,7 @@ def ticks_of(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     rows, steering = answered(odom, commands)
     if len(rows) >= 0.5 * len(commands):
         return rows, steering
-    notes.append("Commands do not carry a state's stamp: each is taken for the state before it.")
+    notes.append("Commands carry no stamp of a state: each is assigned to the state before it.")
     commands = commands[commands[:, 0] >= odom[0, 0]]
     before = np.searchsorted(odom[:, 0], commands[:, 0], side="right") - 1
     rows = odom[before]
@@ -107,8 +201,8 @@ def ticks_of(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
 def errors_of(
     columns: BagColumns, states: list[VehicleState], time: Array, to_cg: float, notes: list[str]
 ) -> Array:
-    """Give the errors of each tick from the path that was in force (n, 2); nan where none was."""
-    found = np.full((len(time), 2), np.nan)
+    """Return the errors of each tick from the path valid at its time (n, 2); nan without a path."""
+    result = np.full((len(time), 2), np.nan)
     begins = np.array([path.time for path in columns.paths])
     for k, path in enumerate(columns.paths):
         begin = np.searchsorted(time, path.time) if k else 0
@@ -117,7 +211,71 @@ def errors_of(
             continue
         part = Drive(states[begin:end], time[begin:end], time[:0])
         try:
-            found[begin:end] = errors(part, make_path(path.points), to_cg)
+            result[begin:end] = errors(part, make_path(path.points), to_cg)
         except ValueError as error:
-            notes.append(f"The reference at {path.time:.1f} s cannot be used: {error}.")
-    return found
+            notes.append(f"The reference path at {path.time:.1f} s is unusable: {error}.")
+    return result
+
+
+def run_context_of(
+    columns: BagColumns,
+    vehicle: "Vehicle | None" = None,
+    settings: ControllerSettings | None = None,
+    controller: str = "",
+) -> RunContext:
+    """Return controller and car from the configuration in a bag.
+
+    Args:
+        columns: Content of the bag.
+        vehicle: Car, used where the bag has no configuration of it.
+        settings: Settings of the controller, used likewise.
+        controller: Name of the controller, used likewise.
+    """
+    control = columns.configuration.get("controller", {})
+    simulated = columns.configuration.get("simulator", {}).get("vehicle", {})
+    notes: list[str] = []
+    if not control:
+        source = "are unknown" if vehicle is None else "are those named for this report"
+        notes.append(
+            f"The bag contains no controller/configuration: vehicle, settings and bounds {source}."
+        )
+    chassis = section(ChassisParameters, control, "chassis", notes)
+    chassis = chassis or (vehicle and vehicle.chassis)
+    size = section(SizeParameters, simulated, "size", notes) or (vehicle and vehicle.size)
+    if size is None:
+        notes.append("The bag contains no size of the car: its outline on the map is assumed.")
+    versions = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
+    if len(versions) > 1:
+        notes.append(
+            f"The configuration was changed {len(versions) - 1} times: the last one is shown."
+        )
+    to_cg = control.get("base_link_to_cg")
+    if not (isinstance(to_cg, (int, float)) and to_cg >= 0):
+        to_cg = chassis.cg_to_rear_axle if chassis else 0.0
+        if chassis is None:
+            notes.append(
+                "Errors are those of the point that odom describes (centre of gravity unknown)."
+            )
+    steering = section(SteeringParameters, control, "steering", notes)
+    return RunContext(
+        str(control.get("controller", controller)),
+        str(control.get("version", "")),
+        chassis,
+        steering or (vehicle and vehicle.steering),
+        section(ControllerSettings, control, "settings", notes) or settings,
+        size,
+        section(GuardLimits, control, "guard", notes),
+        float(to_cg),
+        notes,
+    )
+
+
+def section(cls: type[T], content: Any, name: str, notes: list[str]) -> T | None:
+    """Return one section of a configuration; append a note and return None where it is invalid."""
+    if not isinstance(content, Mapping) or name not in content:
+        return None
+    try:
+        return build(cls, content[name], f"configuration: {name}")
+    except ValueError as error:
+        notes.append(f"Ignored: {error}.")
+        return None

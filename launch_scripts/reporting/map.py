@@ -1,4 +1,4 @@
-"""The map of a report: paths, and all that is needed to move the cars along them."""
+"""Map of the report: paths, and the data from which the page moves the cars along them."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,59 +10,69 @@ from numpy.typing import NDArray
 from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_fitting import make_path
 from launch_scripts.bags.bag_columns import BagColumns
-from launch_scripts.reporting.drive import NO_POINTS, WORDS, Judged
-from launch_scripts.reporting.lines import PALETTE, curve, rounded
+from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
+from launch_scripts.reporting.lines import PALETTE, rounded, thinned_curve
 
 MAX_FRAMES = 4000
-"""Places of the car of all bags together; between them the page joins by straight lines."""
+"""Positions of the cars of all drives together; the page interpolates linearly between them."""
 MAX_PREDICTED = 1000
-"""Predictions of all bags together."""
+"""Predictions of all drives together."""
 PREDICTED_POINTS = 12
-"""Of one prediction."""
+"""Points of one prediction."""
+MAX_PATHS = 20
+"""Reference paths of one drive, about."""
 OLDEST = 1.0
-"""Age up to which a prediction is shown [s]."""
+"""Largest age of a displayed prediction [s]."""
 CENTIMETRE, MILLIRADIAN, MILLISECOND = 2, 4, 3
-"""Decimals to which places, angles and times are rounded."""
+"""Decimals to which positions, angles and times are rounded."""
 
 
 class Map(NamedTuple):
-    """The figure, and what moves in it."""
+    """Figure and moving parts."""
 
     figure: go.Figure
     drives: list[dict[str, Any]]
-    """Of each bag: name, colour, numbers of its traces, outline, frames, predictions."""
+    """Data of each drive for the script of the page; see `motion`."""
 
 
-def draw_map(drives: Sequence[Judged], points: int) -> Map:
-    """Draw the map of one or several bags; a path that they share is drawn once."""
-    figure, moving, drawn = go.Figure(), [], list[Array]()
-    for drive in drives:
-        for path in seen_paths(drive.columns):
-            if not any(np.array_equal(path, other) for other in drawn):
-                add_reference(figure, path, points, first=not drawn)
-                drawn.append(path)
+def draw_map(drives: Sequence[JudgedDrive], points: int) -> Map:
+    """Return the map of one or several drives; a path that they share is drawn once."""
+    figure, moving = go.Figure(), []
+    reference = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
+    for number, path in enumerate(paths_of(drives)):
+        add_curve(figure, path, points, "reference path", reference, number == 0)
     for k, drive in enumerate(drives):
         line = {"color": PALETTE[k % len(PALETTE)], "width": 2, "simplify": False}
-        x, y = curve(centres(drive), points).T
         label = "driven path" if len(drives) == 1 else drive.name
-        figure.add_trace(go.Scatter(x=plain(x), y=plain(y), mode="lines", name=label, line=line))
+        add_curve(figure, centres(drive), points, label, line)
     for k, drive in enumerate(drives):
-        first = len(figure.data)
-        add_car(figure, PALETTE[k % len(PALETTE)], k == 0)
-        moving.append(motion(drive, PALETTE[k % len(PALETTE)], first, len(drives)))
-    layout(figure)
+        first, color = len(figure.data), PALETTE[k % len(PALETTE)]
+        add_car(figure, color, k == 0)
+        moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
+    set_map_layout(figure)
     return Map(figure, moving)
 
 
-def seen_paths(columns: BagColumns) -> list[Array]:
-    """Give the references to draw: the last one before the start, and up to 20 later ones."""
+def paths_of(drives: Sequence[JudgedDrive]) -> list[Array]:
+    """Return the different reference paths of all drives, each (n, 2) [m]."""
+    paths: list[Array] = []
+    for drive in drives:
+        for path in visible_paths(drive.columns):
+            if not any(np.array_equal(path, other) for other in paths):
+                paths.append(path)
+    return paths
+
+
+def visible_paths(columns: BagColumns) -> list[Array]:
+    """Return the last reference path before the start, and about `MAX_PATHS` later ones."""
     later = [path.points for path in columns.paths if path.time > 0.0]
     before = [path.points for path in columns.paths if path.time <= 0.0][-1:]
-    return [smooth(points) for points in before + later[:: max(1, len(later) // 20)]]
+    chosen = before + later[:: max(1, len(later) // MAX_PATHS)]
+    return [smooth(points) for points in chosen]
 
 
 def smooth(points: Array) -> Array:
-    """Give the curve through points that the errors refer to, or the points if there is none."""
+    """Return the curve to which the errors refer, or the points where no curve can be fitted."""
     try:
         path = make_path(points)
     except ValueError:
@@ -70,102 +80,116 @@ def smooth(points: Array) -> Array:
     return np.column_stack((path.x, path.y))
 
 
-def add_reference(figure: go.Figure, path: Array, points: int, first: bool) -> None:
-    """Draw what was asked for: wide and grey, so that it is seen behind a car that does that."""
-    x, y = curve(path, points).T
-    figure.add_trace(
-        go.Scatter(
-            x=plain(x),
-            y=plain(y),
-            mode="lines",
-            name="reference path",
-            legendgroup="reference",
-            showlegend=first,
-            line={"color": "#c4c4c4", "width": 7, "simplify": False},
-            hoverinfo="skip",
-        )
+def add_curve(
+    figure: go.Figure,
+    curve: Array,
+    points: int,
+    name: str,
+    line: dict[str, Any],
+    legend: bool = True,
+) -> None:
+    """Add a curve (n, 2) [m] in the plane, thinned to about `points` points."""
+    x, y = thinned_curve(curve, points).T
+    hover = "skip" if name == "reference path" else None
+    figure.add_scatter(
+        x=to_plain(x),
+        y=to_plain(y),
+        mode="lines",
+        name=name,
+        legendgroup=name,
+        showlegend=legend,
+        line=line,
+        hoverinfo=hover,
     )
 
 
-def add_car(figure: go.Figure, color: str, first: bool) -> None:
-    """Add what moves: the prediction, the outline, and a marker that is seen from afar."""
-    predicted = {"color": "#000000", "width": 2.5, "dash": "dot"}
-    outline = {"color": color, "width": 2}
+def add_car(figure: go.Figure, color: str, legend: bool) -> None:
+    """Add the moving traces of a car: prediction, outline, and a marker of fixed size."""
     marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
-    name = f"predicted path, at most {OLDEST:g} s old"
     for style in (
-        {"mode": "lines", "name": name, "showlegend": first, "line": predicted},
-        {"mode": "lines", "fill": "toself", "fillcolor": f"{color}55", "line": outline}
-        | {"showlegend": False},
-        {"mode": "markers", "name": "car", "showlegend": first}
-        | {"marker": marker | {"line": {"color": "white", "width": 1.5}}},
+        {
+            "mode": "lines",
+            "name": f"predicted path, at most {OLDEST:g} s old",
+            "showlegend": legend,
+            "line": {"color": "#000000", "width": 2.5, "dash": "dot"},
+        },
+        {
+            "mode": "lines",
+            "fill": "toself",
+            "fillcolor": f"{color}55",
+            "line": {"color": color, "width": 2},
+            "showlegend": False,
+        },
+        {
+            "mode": "markers",
+            "name": "car",
+            "showlegend": legend,
+            "marker": marker | {"line": {"color": "white", "width": 1.5}},
+        },
     ):
-        figure.add_trace(go.Scatter(x=[], y=[], hoverinfo="skip", **style))
+        figure.add_scatter(x=[], y=[], hoverinfo="skip", **style)
 
 
-def centres(drive: Judged) -> Array:
-    """Give the places of the centre of gravity at all ticks (n, 2) [m]."""
+def centres(drive: JudgedDrive) -> Array:
+    """Return the positions of the centre of gravity at all ticks (n, 2) [m]."""
     x, y, yaw = drive.states[:, :3].T
-    to_cg = drive.known.to_cg
+    to_cg = drive.context.to_cg
     return np.column_stack((x + to_cg * np.cos(yaw), y + to_cg * np.sin(yaw)))
 
 
-def motion(drive: Judged, color: str, first: int, drives: int) -> dict[str, Any]:
-    """Give what the page needs to place a car at any time."""
-    kept = np.unique(
-        np.linspace(0, len(drive.time) - 1, min(len(drive.time), MAX_FRAMES // drives)).astype(int)
-    )
+def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
+    """Return what the page needs to draw a car at any time."""
+    time, steering = drive.record.time, drive.record.steering
+    kept = even_choice(len(time), MAX_FRAMES // drives)
     x, y, yaw, speed = drive.states[kept, :4].T
-    steering = np.degrees(drive.steering[kept]) if len(drive.steering) else np.empty(0)
-    error = drive.errors[kept]
+    error, heading = drive.errors[kept].T
     return {
         "name": drive.name,
-        "color": color,
-        "trace": first,
-        "cg": drive.known.to_cg,
-        "outline": drive.known.outline.round(3).tolist(),
-        "t": plain(drive.time[kept], MILLISECOND),
-        "x": plain(x),
-        "y": plain(y),
-        "yaw": plain(np.unwrap(yaw), MILLIRADIAN),
+        "cg": drive.context.to_cg,
+        "outline": drive.context.outline.round(3).tolist(),
+        "t": to_plain(time[kept], MILLISECOND),
+        "x": to_plain(x),
+        "y": to_plain(y),
+        "yaw": to_plain(np.unwrap(yaw), MILLIRADIAN),
         "speed": rounded(speed, 4),
-        "error": plain(error[:, 0], 4),
-        "heading": plain(np.degrees(error[:, 1]), 3),
-        "steering": rounded(steering, 4),
-        "rung": rungs(drive, kept),
+        "error": to_plain(error, 4),
+        "heading": to_plain(np.degrees(heading), 3),
+        "steering": rounded(np.degrees(steering[kept]) if len(steering) else steering, 4),
+        "rung": rungs(drive, time[kept]),
         "predictions": predictions(drive, MAX_PREDICTED // drives),
     }
 
 
-def rungs(drive: Judged, kept: NDArray[np.int64]) -> list[int]:
-    """Give the rung at the ticks kept; none where the bag does not tell."""
-    rows = drive.columns.tick.get("rung", NO_POINTS)
+def even_choice(count: int, most: int) -> NDArray[np.int64]:
+    """Return at most `most` indices below `count`, evenly spaced, with both ends."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+
+
+def rungs(drive: JudgedDrive, time: Array) -> list[int]:
+    """Return the rung at the given times [s], or an empty list where the bag has none."""
+    rows = drive.record.tick.get("rung", NO_POINTS)
     if not len(rows):
         return []
-    at = np.searchsorted(rows[:, 0], drive.time[kept], side="right") - 1
-    values = np.clip(rows[np.maximum(at, 0), 1], *WORDS)
-    return [int(value) for value in values]
+    at = np.searchsorted(rows[:, 0], time, side="right") - 1
+    return [int(value) for value in np.clip(rows[np.maximum(at, 0), 1], *INDEX_RANGE)]
 
 
-def predictions(drive: Judged, most: int) -> list[dict[str, Any]]:
-    """Give an even choice of the predicted paths."""
-    samples = drive.columns.predictions
-    chosen = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), most)).astype(int))
-    result = []
-    for sample in (samples[k] for k in chosen):
-        some = np.linspace(0, len(sample.points) - 1, PREDICTED_POINTS).astype(int)
-        x, y = sample.points[np.unique(some)].T if len(sample.points) else ([], [])
-        result.append({"t": round(sample.time, MILLISECOND), "x": plain(x), "y": plain(y)})
+def predictions(drive: JudgedDrive, most: int) -> list[dict[str, Any]]:
+    """Return at most `most` predicted paths, evenly spaced."""
+    samples, result = drive.columns.predictions, []
+    for sample in (samples[k] for k in even_choice(len(samples), most)):
+        x, y = sample.points[even_choice(len(sample.points), PREDICTED_POINTS)].T
+        result.append({"t": round(sample.time, MILLISECOND), "x": to_plain(x), "y": to_plain(y)})
     return result
 
 
-def plain(values: Any, decimals: int = CENTIMETRE) -> list[float | None]:
-    """Give rounded numbers; None for what is not finite."""
+def to_plain(values: Array, decimals: int = CENTIMETRE) -> list[float | None]:
+    """Return rounded Python numbers, with None in place of nan and infinity."""
     return [v if np.isfinite(v) else None for v in np.round(values, decimals).tolist()]
 
 
-def layout(figure: go.Figure) -> None:
-    """Lay the map out: a metre is as long on both axes."""
+def set_map_layout(figure: go.Figure) -> None:
+    """Set the layout of the map with equal scales of both axes."""
     figure.update_layout(
         template="none",
         margin={"l": 64, "r": 12, "t": 34, "b": 76},

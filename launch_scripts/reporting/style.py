@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 mpl.use("Agg")
@@ -51,6 +52,27 @@ def save_png(figure: Figure, file: Path) -> None:
     """Write a figure as PNG."""
     with mpl.rc_context(FONT):
         figure.savefig(file, dpi=120)
+
+
+def save_figures(figures: Mapping[str, Figure], file: Path, formats: Sequence[str]) -> list[Path]:
+    """Write figures as vector graphics and return the files.
+
+    Args:
+        figures: By name of the SVG file, without its suffix.
+        file: Its folder is that of all files; the PDF file has its name, with a page per figure.
+        formats: Any of svg, pdf.
+    """
+    files = []
+    if "svg" in formats:
+        for name, figure in figures.items():
+            files.append(file.with_name(f"{name}.svg"))
+            files[-1].write_text(svg(figure), encoding="utf-8")
+    if "pdf" in formats:
+        files.append(file.with_name(f"{file.stem}.pdf"))
+        with mpl.rc_context(FONT), PdfPages(files[-1], metadata={"CreationDate": None}) as pages:
+            for figure in figures.values():
+                pages.savefig(figure)
+    return files
 
 
 def stack(heights: Sequence[float]) -> tuple[Figure, list[Axes]]:

@@ -1,4 +1,4 @@
-"""The environment of ROS processes, in a sourced shell and without one."""
+"""Environment of ROS processes, with and without a sourced ROS 2."""
 
 import os
 from pathlib import Path
@@ -7,11 +7,11 @@ PROFILES = Path(__file__).with_name("fastdds.xml")
 
 
 def ros_environment() -> dict[str, str]:
-    """Gives this process's environment, completed for the nodes that it starts.
+    """Return the environment of this process with the variables that its nodes need.
 
-    Topics stay on this computer, unless the environment says otherwise. The ROS wheels
-    bring one middleware only, and get settings of it that suit one computer; where ROS 2 itself is
-    sourced, its middleware stays as it is.
+    Topics stay on this computer, unless the environment selects another discovery range. The ROS
+    wheels contain only one middleware, which gets a profile for one computer; where ROS 2 itself
+    is sourced, its middleware is not changed.
     """
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

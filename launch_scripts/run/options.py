@@ -1,27 +1,46 @@
-"""The options of a run, and a check of all that they name before any node starts."""
+"""Options of a run, and a check of all names and files before any node starts."""
 
 import argparse
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
-from ampc_ros.configuration import CONTROLLERS, Choices
+from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_ros.configuration import CONTROLLERS, Choices, check_controller
 from ampc_ros.mpc.gain_table import load_gain_table
-from launch_scripts.faults.schedule import load_plan
-from launch_scripts.run.result import Run
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 
-def options(arguments: Sequence[str] | None, about: str | None) -> argparse.Namespace:
-    """Read the command line.
+class Run(NamedTuple):
+    """One run of the start script."""
+
+    folder: Path
+    scenario: Scenario
+    options: dict[str, Any]
+    """Options of the command line."""
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the recording."""
+        return self.folder / "bag"
+
+    @property
+    def title(self) -> str:
+        """Scenario, controller and car."""
+        controller = controller_label(self.options["controller"])
+        return f"{self.scenario.name}, {controller}, {Path(self.options['vehicle']).stem} car"
+
+
+def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argparse.Namespace:
+    """Return the options of the command line.
 
     Args:
-        arguments: Its words; None: those of this process.
-        about: What `--help` says first.
+        arguments: Words of the command line; None: those of this process.
+        about: First text of `--help`.
     """
     parser = argparse.ArgumentParser(description=about)
 
@@ -30,64 +49,92 @@ def options(arguments: Sequence[str] | None, about: str | None) -> argparse.Name
         shown = "; default: %(default)s" if value not in (None, "") else ""
         parser.add_argument(name, default=value, help=f"{names}{text}{shown}".lstrip(), **how)
 
-    add_route(add)
-    add_car(add)
-    add("--real-time", False, "run free instead of in lock-step", action="store_true")
-    add("--time-out", 10.0, "longest wait for a node's answer [s]", type=float)
+    add_route_options(add)
+    add_car_options(add)
+    add("--real-time", False, "run freely instead of in lock-step", action="store_true")
+    add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
     return parser.parse_args(arguments)
 
 
-def add_route(add: Callable[..., None]) -> None:
-    """Offer the options that choose what to drive."""
-    add("--scenario", "sc1", "what to drive", "scenarios")
-    add("--path", "", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m to drive instead of a scenario")
-    add("--speed", -1.0, "constant speed [m/s]; -1: as given", type=float)
-    text = "largest along the CSV's path [m/s^2]; -1: speed as given"
+def add_route_options(add: Callable[..., None]) -> None:
+    """Add the options of scenario, path and speed."""
+    add("--scenario", "sc1", "scenario to drive", "scenarios")
+    add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
+    add("--speed", -1.0, "constant speed [m/s]; -1: that of the scenario or file", type=float)
+    text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
     add("--lateral-acceleration", -1.0, text, type=float)
-    add("--laps", 1, "of a CSV's closed path", type=int)
+    add("--laps", 1, "number of laps on the closed path of a CSV file", type=int)
 
 
-def add_car(add: Callable[..., None]) -> None:
-    """Offer the options that choose the car, who steers it, and what makes that hard."""
+def add_car_options(add: Callable[..., None]) -> None:
+    """Add the options of car, controller, disturbances and faults."""
     default = Choices()
+    names = f"{', '.join(CONTROLLERS)}, or a class of yours: my_file.py:MyController"
     add("--vehicle", default.vehicle, "the car", "vehicles")
-    add("--controller", default.controller, "who steers", choices=CONTROLLERS)
+    add("--controller", default.controller, f"{names}; steers the car")
     add("--settings", default.settings, "limits of the controller", "controllers")
     add("--gain-table", default.gain_table, "gains of the controller", "gains")
     add("--guard", "track", "limits of every command", "guards")
-    add("--friction", -1.0, "of the road, 0.01 to 3; -1: that of the tyres", type=float)
-    add("--noise", "", "of the measurement; default: none", "noise")
-    add("--seed", 0, "of the noise", type=int)
-    text = "between simulator and controller, in real time; default: none"
+    add("--friction", -1.0, "friction of the road, 0.01 to 3; -1: that of the tyres", type=float)
+    add("--noise", "", "measurement noise; default: none", "noise")
+    add("--seed", 0, "seed of the noise", type=int)
+    text = "fault injection between simulator and controller, in real time; default: none"
     add("--faults", "", text, "faults")
 
 
-def prepare(chosen: argparse.Namespace) -> Run:
-    """Load all that was named, so that what is wrong is said before any node starts.
+def resolve_controller(name: str) -> str:
+    """Return the name of a controller; in `file.py:Class`, the file becomes an absolute path.
 
     Raises:
-        ValueError: Names what is wrong, in one sentence.
+        ValueError: There is no such controller.
     """
-    size = load_vehicle(find("vehicles", chosen.vehicle)).size
-    load(ControllerSettings, find("controllers", chosen.settings))
-    if chosen.gain_table:
-        load_gain_table(chosen.gain_table)
-    load(GuardLimits, find("guards", chosen.guard))
-    if chosen.noise:
-        load(MeasurementNoise, find("noise", chosen.noise))
-    if chosen.faults:
-        load_plan(chosen.faults)
-    scenario = choose_scenario(Route(*(getattr(chosen, key) for key in Route._fields)), size)
-    given = {key: value for key, value in vars(chosen).items() if key != "output"}
-    name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{chosen.controller}"
-    return Run(new_folder(chosen.output or Path("runs") / name), scenario, given)
+    file, _, cls = name.rpartition(":")
+    name = f"{Path(file).resolve()}:{cls}" if file.endswith(".py") else name
+    check_controller(name)
+    return name
 
 
-def new_folder(folder: Path) -> Path:
-    """Make the folder of a run; one that exists is never written into."""
+def controller_label(name: str) -> str:
+    """Return the display name of a controller: the shipped name, or the name of the class."""
+    return name.rpartition(":")[2]
+
+
+def prepare(options: argparse.Namespace) -> Run:
+    """Load everything that the options name, and create the folder of the run.
+
+    Raises:
+        ValueError: Names the invalid option or file in one sentence.
+    """
+    size = load_vehicle(find("vehicles", options.vehicle)).size
+    options.controller = resolve_controller(options.controller)
+    load(ControllerSettings, find("controllers", options.settings))
+    if options.gain_table:
+        load_gain_table(options.gain_table)
+    load(GuardLimits, find("guards", options.guard))
+    if options.noise:
+        load(MeasurementNoise, find("noise", options.noise))
+    if options.faults:
+        from launch_scripts.faults.schedule import load_plan
+
+        load_plan(options.faults)
+    route = Route(*(getattr(options, key) for key in Route._fields))
+    scenario = choose_scenario(route, size)
+    values = {key: value for key, value in vars(options).items() if key != "output"}
+    label = controller_label(options.controller)
+    name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{label}"
+    folder = options.output or Path("runs") / name
+    create_folder(folder, exist_ok=False)
+    return Run(folder, scenario, values)
+
+
+def create_folder(folder: Path, *, exist_ok: bool) -> None:
+    """Create a folder.
+
+    Raises:
+        ValueError: The folder cannot be created, or exists and `exist_ok` is False.
+    """
     try:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=exist_ok)
     except OSError as error:
-        raise ValueError(f"{folder}: cannot make this folder: {error.strerror}") from error
-    return folder
+        raise ValueError(f"{folder}: cannot create this folder: {error.strerror}") from error

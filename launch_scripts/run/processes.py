@@ -1,4 +1,4 @@
-"""Node processes that live and end together."""
+"""Node processes that are started and ended together."""
 
 import ctypes
 import re
@@ -14,7 +14,7 @@ from types import TracebackType
 from launch_scripts.run.environment import ros_environment
 
 PATIENCE = 10.0
-"""Wall time that a process gets to end after SIGINT, and again after SIGTERM [s]."""
+"""Wall time to wait for the end of a process after SIGINT, and again after SIGTERM [s]."""
 SET_PARENT_DEATH_SIGNAL = 1
 """PR_SET_PDEATHSIG of <linux/prctl.h>."""
 LIBC = ctypes.CDLL(None)
@@ -22,28 +22,28 @@ LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 
 class Processes:
-    """Starts nodes, each with its log file; on leaving, ends whatever still runs.
+    """Node processes with one log file each; leaving the context ends all that still run.
 
     Note:
-        Each node gets a process group of its own, so that Ctrl-C reaches only this process, which
-        ends the nodes in order, the recorder last. Where this process is killed itself, the
-        kernel (of Linux) sends SIGTERM to the nodes.
+        Each node has its own process group, so that Ctrl-C reaches only this process, which ends
+        the nodes in order, the recorder last. If this process is killed, the Linux kernel sends
+        SIGTERM to the nodes.
     """
 
     def __init__(self, logs: Path) -> None:
-        """Write the logs into a folder."""
+        """Create the folder of the logs."""
         self.logs = logs
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         logs.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> "Processes":
-        """Nothing runs yet."""
+        """Return this object; no node runs yet."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
-        """End all at once, and the one that was started first, the recorder, after them."""
+        """End all nodes at once, except the first one (the recorder), which ends after them."""
         nodes = list(self.running.values())
         end(nodes[1:])
         end(nodes[:1])
@@ -55,7 +55,14 @@ class Processes:
         parameters: Mapping[str, object],
         renamed: Mapping[str, str] | None = None,
     ) -> None:
-        """Start a node: `python -m module` with ROS parameters, some of its topics renamed."""
+        """Start `python -m module` as a node.
+
+        Args:
+            name: Name of the node here and of its log file.
+            module: Python module.
+            parameters: ROS parameters.
+            renamed: New name of each remapped topic.
+        """
         command = [sys.executable, "-m", module, "--ros-args"]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={yaml_text(value)}"]
@@ -73,26 +80,26 @@ class Processes:
             )
 
     def ended(self) -> dict[str, int]:
-        """Give the exit codes of the nodes that have ended."""
+        """Return the exit codes of the nodes that have ended."""
         codes = {name: process.poll() for name, process in self.running.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def log(self, name: str) -> Path:
-        """Give the log file of a node."""
+        """Return the log file of a node."""
         return self.logs / f"{name}.log"
 
     def last_line(self, name: str) -> str:
-        """Give the last line of a node's log, without the time."""
-        return (self.words(name) or ["no output"])[-1]
+        """Return the last line of a node's log, without the time."""
+        return (self.lines(name) or ["no output"])[-1]
 
-    def words(self, name: str) -> list[str]:
-        """Give the lines of a node's log that say something, without the time."""
+    def lines(self, name: str) -> list[str]:
+        """Return the non-empty lines of a node's log, without the time."""
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").split("\n")
         return [LOG_PREFIX.sub("", line.strip()) for line in lines if line.strip()]
 
 
 def end(processes: list[subprocess.Popen[bytes]]) -> None:
-    """End processes: SIGINT, then SIGTERM, then SIGKILL."""
+    """End processes with SIGINT, then SIGTERM, then SIGKILL."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         for process in processes:
             process.send_signal(number)
@@ -103,13 +110,13 @@ def end(processes: list[subprocess.Popen[bytes]]) -> None:
 
 
 def end_with_parent() -> None:
-    """In a new process: ask for SIGTERM at the end of the process that has started it."""
+    """Request SIGTERM for this new process when its parent ends."""
     if sys.platform == "linux":
         LIBC.prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
 
 
 def yaml_text(value: object) -> str:
-    """Write a parameter value so that ROS reads the same type and text."""
+    """Return the YAML text of a parameter value that keeps type and text in ROS."""
     if isinstance(value, bool):
         return str(value).lower()
     return "'" + value.replace("'", "''") + "'" if isinstance(value, str) else repr(value)

@@ -22,6 +22,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ampc_msgs_config.paths.path import Array
+from launch_scripts.reporting.markdown import markdown_table
 from launch_scripts.reporting.style import spread
 from launch_scripts.study.pso_methods import (
     BUDGET,
@@ -180,23 +181,21 @@ def claim_rows(runs: Runs) -> list[list[str]]:
 
 def bench_markdown(runs: Runs, medians: ReadingMedians) -> str:
     """Return the tables for the documentation."""
-
-    def table(heads: Sequence[str], rows: list[list[str]]) -> list[str]:
-        lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-        return [*lines, *("| " + " | ".join(row) + " |" for row in rows), ""]
-
     names = [problem.name for problem in PROBLEMS]
     cells = median_rows(runs, "{1:.2g} ({0:.2g}-{2:.2g})", "**{}**")
     lines = [
         NOTE,
-        *table(CLAIM_HEADS, claim_rows(runs)),
-        *table(("median (quartiles)", *names), cells),
+        *markdown_table(CLAIM_HEADS, claim_rows(runs), "l"),
+        "",
+        *markdown_table(("median (quartiles)", *names), cells, "l"),
+        "",
         f"{len(runs[names[0], 'proposed'])} seeds, {BUDGET} evaluations. "
         "Better than `proposed` in the median:",
         "",
         *(f"* {line}" for line in better_methods(runs)),
         "",
-        *table(READING_HEADS, reading_rows(medians)),
+        *markdown_table(READING_HEADS, reading_rows(medians), "l"),
+        "",
     ]
     return "\n".join(lines)
 

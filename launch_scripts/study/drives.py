@@ -3,10 +3,8 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.metrics import LOST, errors, evaluate
+from ampc_msgs_config.metrics import LOST, errors, measure, record_of
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
@@ -172,12 +170,12 @@ def drive_metrics(driven: SimulatedDrive) -> dict[str, Any]:
     """Return the metrics of a drive that `results.json` contains."""
     to_cg = driven.vehicle.chassis.cg_to_rear_axle
     period = (driven.drive.states[1].stamp_ns - driven.drive.states[0].stamp_ns) / NANOSECONDS
-    metrics = evaluate(driven.drive._replace(solve_time=np.zeros(1)), driven.path, to_cg, period)
     keys = ("mse_m2", "mse_lateral_m2", "max_error_m", "steering_rms_increment_deg")
+    record = record_of(driven.drive, driven.path, to_cg, period)
+    metrics = measure((*keys, "last_3_s_rms_m"), record)
     return {
-        **{key: metrics[key] for key in keys},
-        "last_3_s_rms_m": float(np.sqrt(np.mean(driven.error[-30:] ** 2))),
+        **metrics,
         "unsolved_ticks": sum(d.converged == 0.0 for d in driven.diagnosis),
         "ticks": len(driven.error),
-        "lost": bool(metrics["max_error_m"] > LOST),
+        "lost": bool((metrics["max_error_m"] or 0.0) > LOST),
     }

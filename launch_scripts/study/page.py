@@ -1,15 +1,10 @@
 """Page of the reproduction: measured values in the template `reproduce.html`."""
 
-import base64
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-
-from launch_scripts.reporting.page_html import STYLE, num
+from launch_scripts.reporting.pages import render
 from launch_scripts.study.claims import PAPER_MSE
 from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 
@@ -22,18 +17,10 @@ def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
         figures: SVG texts by name.
     """
     labels = STUDY_ROADS | CONTENDERS
-    page = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page.filters["num"] = lambda value, pattern="": Markup(num(value, pattern))  # noqa: S704
-    return page.get_template("reproduce.html").render(
-        results,
-        style=STYLE.read_text(encoding="utf-8"),
-        pictures={name: base64.b64encode(svg.encode()).decode() for name, svg in figures.items()},
+    return render(
+        "study/reproduce.html",
+        **results,
+        figures=figures,
         labels=labels,
         labels_of=lambda names: [labels[name] for name in names],
         explained=not (results["meta"]["quick"] or results["meta"]["authors_code"]),
@@ -44,7 +31,5 @@ def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
 def nearest_switch(results: Mapping[str, Any], road: str) -> str:
     """Return the switch that brings the MSE of the AMPC nearest to the paper's number."""
     paper = PAPER_MSE[road]["paper"]
-    mse: dict[str, float] = {
-        name: row[road]["paper"]["mse_m2"] for name, row in results["switches"].items()
-    }
+    mse: dict[str, float] = {n: r[road]["paper"]["mse_m2"] for n, r in results["switches"].items()}
     return min(mse, key=lambda name: abs(math.log(mse[name] / paper)))

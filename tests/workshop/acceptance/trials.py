@@ -10,9 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.metrics import LOST, Drive, errors, ticks
+from ampc_msgs_config.metrics import METRICS, Drive, errors, ticks
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.paths.path import Array
 from ampc_msgs_config.paths.path_file import SpeedLimits, from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
@@ -21,7 +20,7 @@ from ampc_ros.configuration import default_table
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
-from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.run.simulated import SimulatedDrive, record_of_simulated
 from launch_scripts.tuning.fleet_rows import Entry, drive_all
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
@@ -147,11 +146,6 @@ def plant(trial: Trial, vehicle: Vehicle, scenario: Scenario) -> Simulation:
     return Simulation(vehicle._replace(chassis=chassis, steering=steering), scenario, **options)
 
 
-def rms(values: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def overlap(driven: SimulatedDrive) -> float:
     """Farthest that a side of the car reaches over a row of cones; negative: the room left [m].
 
@@ -178,24 +172,27 @@ def overlap(driven: SimulatedDrive) -> float:
 
 
 class Quantity(NamedTuple):
-    """Something to measure in a drive."""
+    """A measured quantity of a trial."""
 
     label: str
     measure: Callable[[SimulatedDrive], float] | None = None
-    """None: it takes more than one drive."""
+    """None: the quantity is computed from several drives."""
+
+
+def metric(key: str) -> Callable[[SimulatedDrive], float]:
+    """Return the function that computes a metric of a simulated drive."""
+    return lambda driven: float(METRICS[key].function(record_of_simulated(driven)) or 0.0)
 
 
 QUANTITIES = {
-    "mse": Quantity("MSE [m2]", lambda d: float(np.mean(d.error**2))),
-    "rms": Quantity("RMS error [m]", lambda d: rms(d.error)),
-    "max": Quantity("largest error [m]", lambda d: float(np.abs(d.error).max())),
-    "last_5_s": Quantity("RMS of the last 5 s [m]", lambda d: rms(d.error[-50:])),
-    "last_3_s": Quantity("RMS of the last 3 s [m]", lambda d: rms(d.error[-30:])),
-    "diverged": Quantity("number that diverged", lambda d: float(not abs(d.error[-1]) < LOST)),
-    "activity": Quantity(
-        "steering, RMS increment [deg]", lambda d: rms(np.degrees(np.diff(d.drive.steering)))
-    ),
-    "swing": Quantity("swing of the wheel [deg]", lambda d: math.degrees(np.ptp(d.drive.steering))),
+    "mse": Quantity("MSE [m2]", metric("mse_m2")),
+    "rms": Quantity("RMS error [m]", metric("rms_error_m")),
+    "max": Quantity("largest error [m]", metric("max_error_m")),
+    "last_5_s": Quantity("RMS of the last 5 s [m]", metric("last_5_s_rms_m")),
+    "last_3_s": Quantity("RMS of the last 3 s [m]", metric("last_3_s_rms_m")),
+    "diverged": Quantity("number that diverged", metric("diverged")),
+    "activity": Quantity("steering, RMS increment [deg]", metric("steering_rms_increment_deg")),
+    "swing": Quantity("swing of the wheel [deg]", metric("steering_range_deg")),
     "overlap": Quantity("overlap with the cones [m]", overlap),
     "added": Quantity("added to the largest error [m]"),
     "fastest": Quantity("highest speed passed [km/h]"),

@@ -19,8 +19,9 @@ from rich.text import Text
 
 from ampc_msgs_config.parameters import check_range
 from ampc_ros.configuration import CONTROLLERS
-from launch_scripts.compare import make_folder, naming
+from launch_scripts.compare import naming
 from launch_scripts.faults.schedule import SEEDS
+from launch_scripts.run.options import create_folder
 from tests.workshop.acceptance.trials import DATA
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT, SCENARIOS, Case, load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course
@@ -102,7 +103,7 @@ def run(chosen: argparse.Namespace, command: str, console: Console) -> Report:
         with naming(f"scenarios {name}"):
             scenarios.append(load_course(name, bench.vehicle.size))
     with naming("output"):
-        make_folder(chosen.output)
+        create_folder(chosen.output, exist_ok=True)
     courses = [bench.course(scenario) for scenario in scenarios]
     cells = drive_all(bench, cases, courses, console)
     report = Report(command, conditions, courses, [case.name for case in cases], cells)

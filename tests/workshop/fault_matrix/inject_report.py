@@ -15,7 +15,7 @@ from rich.text import Text
 from ampc_msgs_config import __version__
 from ampc_msgs_config.metrics import LOST
 from ampc_msgs_config.types import RUNGS
-from launch_scripts.reporting.heat_map import Matrix, Square, draw
+from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
 from launch_scripts.reporting.style import save_png
 from launch_scripts.run.machine import describe_machine
 from tests.workshop.fault_matrix.inject_cases import CASES
@@ -206,13 +206,13 @@ def heat_map(report: Report) -> Figure:
         "largest cross-track error [m] and recovery after the end of the fault [s]\n"
         f"{shared(report.conditions)}"
     )
-    return draw(Matrix(title, report.cases, report.roads, squares, MARGIN))
+    return draw_heat_map(title, report.cases, report.roads, squares, MARGIN)
 
 
-def _square(cell: Cell) -> Square:
+def _square(cell: Cell) -> HeatCell:
     if not cell.kept:
-        return Square(cell.outcome, hatch="xxx" if cell.fails else "////")
-    return Square(f"{cell.max_error:.2f}    {cell.outcome}", max(cell.max_error, FINEST))
+        return HeatCell(cell.outcome, hatch="xxx" if cell.fails else "////")
+    return HeatCell(f"{cell.max_error:.2f}    {cell.outcome}", max(cell.max_error, FINEST))
 
 
 def write(report: Report, folder: Path) -> None:

@@ -1,0 +1,81 @@
+"""Self-contained HTML pages from the Jinja2 templates of this package.
+
+`base.html` is the frame of every page, `macros.html` holds tables, figures and lists.
+"""
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+ROOT = Path(__file__).parents[1]
+"""Folder of the templates; a template is named relative to it: `comparing/compare.html`."""
+Part = str | float
+"""Text, which is escaped unless it is `Markup`, or a number, which is formatted by `num`."""
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page.
+
+    Args:
+        template: Path below `launch_scripts`, such as `comparing/compare.html`.
+        values: Variables of the template; strings are escaped unless they are `Markup`.
+
+    Raises:
+        jinja2.UndefinedError: The template uses a variable that is not in `values`.
+    """
+    return ENVIRONMENT.get_template(template).render(**values)
+
+
+def num(value: float, pattern: str = "") -> Markup:
+    """Return a measured number; see `data`.
+
+    Args:
+        value: Any number.
+        pattern: Format of the visible text; default: three significant digits, integers in full.
+    """
+    shown = format(value, pattern or ("d" if isinstance(value, int) else "#.3g"))
+    mantissa, e, exponent = shown.partition("e")
+    shown = mantissa.rstrip(".") + (f"e{int(exponent)}" if e else "")
+    if e and int(exponent) > 0:
+        shown = f"{float(shown):,.0f}"
+    return data(value, shown)
+
+
+def data(value: float, shown: str) -> Markup:
+    """Return a number with its visible text; the attribute `value` holds all digits."""
+    return Markup('<data value="{}">{}</data>').format(repr(value), shown)
+
+
+def text(parts: Part | Sequence[Part]) -> Markup:
+    """Return one part, or several parts joined, as HTML."""
+    if isinstance(parts, str):
+        return escape(parts)
+    if isinstance(parts, (int, float)):
+        return num(parts)
+    return Markup("").join(text(part) for part in parts)
+
+
+def source(file: str) -> Markup:
+    """Return the text of a style sheet or script below `launch_scripts`, to be inlined."""
+    return Markup((ROOT / file).read_text(encoding="utf-8"))  # noqa: S704 (a file of this package)
+
+
+def svg_url(svg: str) -> str:
+    """Return a `data:` URL of an SVG picture."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
+
+
+ENVIRONMENT = Environment(
+    loader=FileSystemLoader(ROOT),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url}
+ENVIRONMENT.globals["source"] = source
