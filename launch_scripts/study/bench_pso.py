@@ -11,9 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation
 from rich.box import SIMPLE_HEAD
@@ -23,7 +21,7 @@ from rich.table import Table
 
 from ampc_msgs_config.paths.path import Array
 from launch_scripts.reporting.markdown import markdown_table
-from launch_scripts.reporting.style import spread
+from launch_scripts.reporting.style import label_ends
 from launch_scripts.study.pso_methods import (
     BUDGET,
     CLAIMED,
@@ -41,12 +39,9 @@ from launch_scripts.study.pso_methods import (
     search_curves,
 )
 
-mpl.use("Agg")
 CONSOLE_WIDTH = 126
 """Minimum width of the printed tables [characters]."""
 COLUMNS = 4
-LABEL_GAP = 0.062
-"""Distance between the centres of two labels, as a share of the panel's height."""
 Runs = Mapping[tuple[str, str], Array]
 """Best value after each generation (seeds, GENERATIONS + 1), by names of problem and method."""
 ReadingMedians = Mapping[str, Array]
@@ -205,43 +200,27 @@ def draw_methods(runs: Runs, file: Path) -> None:
     rows = -(-len(PROBLEMS) // COLUMNS)
     figure = Figure(figsize=(4.6 * COLUMNS, 4.2 * rows), layout="constrained", dpi=80)
     panels = figure.subplots(rows, COLUMNS, squeeze=False)
+    colors = {name: color for name, (color, _) in METHOD_STYLES.items() if name in METHODS}
+    evaluations = PARTICLES * np.arange(1, BUDGET // PARTICLES + 1)
     for ax, problem in zip(panels.flat, PROBLEMS, strict=False):
-        shown = {name: runs[problem.name, name] for name in METHOD_STYLES if name in METHODS}
-        draw_panel(ax, {name: np.median(values, axis=0) for name, values in shown.items()})
         ax.set_title(problem.name)
+        ax.set_yscale("log")
+        ax.yaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(2, 0.6)))
+        for name, color in colors.items():
+            values = np.median(runs[problem.name, name], axis=0)
+            width = 2.6 if name == "proposed" else 1.5
+            ax.plot(evaluations, values, METHOD_STYLES[name][1], color=color, linewidth=width)
+        ax.set_xlim(0, BUDGET)
+        ax.grid(alpha=0.3)
     for ax in panels[-1]:
         ax.set_xlabel("evaluations")
     for ax in panels[:, 0]:
         ax.set_ylabel("best value so far, median")
+    figure.draw_without_rendering()
+    for ax, problem in zip(panels.flat, PROBLEMS, strict=False):
+        medians = final_medians(runs, problem.name)
+        label_ends(ax, {name: medians[name] for name in colors}, colors)
     figure.savefig(file)
-
-
-def draw_panel(ax: Axes, medians: Mapping[str, Array]) -> None:
-    """Draw the curves of one problem."""
-    ax.set_yscale("log")
-    ax.yaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(2, 0.6)))
-    evaluations = PARTICLES * np.arange(1, BUDGET // PARTICLES + 1)
-    for name, values in medians.items():
-        color, line = METHOD_STYLES[name]
-        width = 2.6 if name == "proposed" else 1.5
-        ax.plot(evaluations, values, line, color=color, linewidth=width)
-    ax.set_xlim(0, BUDGET)
-    ax.grid(alpha=0.3)
-    # heights of the line ends as shares of the panel
-    to_axes = ax.transData + ax.transAxes.inverted()
-    ends = {name: float(to_axes.transform((0, v[-1]))[1]) for name, v in medians.items()}
-    for name, place in spread(ends, LABEL_GAP).items():
-        ax.annotate(
-            name,
-            xy=(1.0, ends[name]),
-            xytext=(1.05, place),
-            xycoords="axes fraction",
-            va="center",
-            color=METHOD_STYLES[name][0],
-            fontsize=9,
-            fontweight="bold" if name == "proposed" else "normal",
-            arrowprops={"arrowstyle": "-", "color": METHOD_STYLES[name][0], "linewidth": 0.7},
-        )
 
 
 def print_table(heads: Sequence[str], rows: list[list[str]], console: Console) -> None:

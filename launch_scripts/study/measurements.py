@@ -286,37 +286,26 @@ def gain_fitness(fixed: bool, roads: Sequence[str], switches: Switches) -> Calla
         fleet = [entry for row in cars.values() for entry in row]
         drives = iter(drive_all(fleet, 2, ABORT_ERROR) if fleet else [])
         for k, row in cars.items():
-            mse = [
-                aborted_mse(
-                    next(drives),
-                    entry.simulation.scenario,
-                    plant.chassis.cg_to_rear_axle,
-                    entry.controller.period,
-                )
-                for entry in row
-            ]
-            result[k] = geometric_mean(np.array(mse))
+            result[k] = geometric_mean(np.array([aborted_mse(next(drives), car) for car in row]))
         return result
 
     return fitness
 
 
-def aborted_mse(drive: Drive, scenario: Scenario, to_cg: float, period: float) -> float:
+def aborted_mse(drive: Drive, car: Entry) -> float:
     """Return the MSE of a drive; the ticks after an abort count with ABORT_ERROR [m^2]."""
+    scenario, to_cg = car.simulation.scenario, car.simulation.vehicle.chassis.cg_to_rear_axle
     error = errors(drive, make_path(scenario.points), to_cg)[:, 0]
-    missing = max(round(scenario.duration / period) - len(error), 0)
+    missing = max(round(scenario.duration / car.controller.period) - len(error), 0)
     return float((np.sum(error**2) + missing * ABORT_ERROR**2) / (len(error) + missing))
 
 
 def switch_effects(plan: StudyPlan, tuned: TunedGains, step: StepCallback) -> dict[str, Any]:
     """Drive with one difference at a time taken from the authors' code, then with all of them."""
     effects: dict[str, Any] = {}
-    single = [(switch, frozenset([switch])) for switch in plan.single_switches]
-    for name, switches in (
-        ("none", frozenset[str]()),
-        *single,
-        ("all", frozenset(DRIVE_SWITCHES)),
-    ):
+    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
+    cases = {"none": frozenset(), **cases, "all": frozenset(DRIVE_SWITCHES)}
+    for name, switches in cases.items():
         effects[name] = {
             road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
             for road in plan.roads

@@ -13,7 +13,6 @@ from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension
 from launch_scripts.reporting.style import spread
 from launch_scripts.study.bench_pso import (
-    LABEL_GAP,
     Runs,
     bench_markdown,
     bench_results,
@@ -40,6 +39,7 @@ from launch_scripts.study.pso_methods import (
     sphere,
 )
 
+GAP = 0.062
 SMALL = BenchmarkProblem(sphere, 3)
 GOOD = {"proposed": 0.01, "linear": 1.5, "damped": 1.4, "classic": 7.0}
 
@@ -140,9 +140,9 @@ def test_json_contains_every_run() -> None:
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
 def test_labels_keep_their_order_and_a_gap(places: list[float]) -> None:
     named = {str(k): place for k, place in enumerate(places)}
-    moved = list(spread(named, LABEL_GAP).values())
-    assert np.all(np.diff(moved) >= 0.9 * LABEL_GAP)
-    assert sorted(named, key=lambda name: named[name]) == list(spread(named, LABEL_GAP))
+    moved = list(spread(named, GAP).values())
+    assert np.all(np.diff(moved) >= 0.9 * GAP)
+    assert sorted(named, key=lambda name: named[name]) == list(spread(named, GAP))
 
 
 def test_the_picture_shows_every_problem(tmp_path: Path) -> None:

@@ -246,10 +246,10 @@ def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) 
 
 def test_the_missing_ticks_of_an_aborted_drive_count_with_the_abort_error() -> None:
     scenario = study_scenario("sc1", duration=10.0)
-    car = plant_vehicle(PAPER)
     steering = build_contender("paper", FIXED_SPEED["sc1"], TUNED, PAPER)
-    (driven,) = drive_all([Entry(Simulation(car, scenario), steering)], lost=0.2)  # type: ignore[arg-type]
-    whole = aborted_mse(driven, scenario, car.chassis.cg_to_rear_axle, 0.1)
+    car = Entry(Simulation(plant_vehicle(PAPER), scenario), steering)  # type: ignore[arg-type]
+    (driven,) = drive_all([car], lost=0.2)
+    whole = aborted_mse(driven, car)
     missing = 100 - len(driven.states)
     assert missing > 0
     assert whole == pytest.approx(missing / 100 * ABORT_ERROR**2, rel=0.01)
