@@ -23,7 +23,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import METRICS
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.page import NO_DATA, report_page, visible_metrics
-from launch_scripts.reporting.verdicts import Thresholds
+from launch_scripts.reporting.summary import Thresholds
 from launch_scripts.run.json_values import to_json
 
 FAILED, WRONG = 1, 2
@@ -72,8 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
     print_tables(console, drives, thresholds)
-    for each in (file, file.with_suffix(".json"), *files):
-        console.print(f"written: {each}", markup=False)
+    names = [each.name for each in (file, file.with_suffix(".json"), *files)]
+    console.print(f"{', '.join(names)}: {file.parent}", markup=False)
     return FAILED if passed(drives) is False else 0
 
 

@@ -1,24 +1,24 @@
-"""Looks into pages that have to be whole without a network."""
+"""Checks of self-contained pages."""
 
 from html.parser import HTMLParser
 
 
 class Elements(HTMLParser):
-    """Collects tags with their attributes."""
+    """Parser that collects tags with their attributes."""
 
     def __init__(self, page: str) -> None:
-        """Read a page."""
+        """Parse a page."""
         super().__init__()
         self.found: list[tuple[str, dict[str, str | None]]] = []
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep a tag."""
+        """Store a tag."""
         self.found.append((tag, dict(attrs)))
 
 
 def check_that_no_request_leaves(page: str) -> None:
-    """Look for all that would make a browser load something."""
+    """Check that no element makes a browser load anything."""
     for tag, attributes in Elements(page).found:
         assert tag not in ("script", "link", "iframe", "object", "base")
         for name in ("src", "href", "srcset", "poster", "action"):

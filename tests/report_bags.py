@@ -1,4 +1,4 @@
-"""Bags for the report: of the whole contract, of old times, of strangers, and broken ones."""
+"""Bags for tests of the report: complete, old, of other controllers, and damaged."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ Messages = dict[str, list[tuple[int, Any]]]
 
 
 def write_messages(bag: Path, topics: Messages) -> Path:
-    """Writes messages at their log times, a chunk for every 20."""
+    """Write messages at their log times, one chunk per 20 messages."""
     with Recording(bag) as recording:
         for name, messages in topics.items():
             recording.add_topic(name, type_name_of(type(messages[0][1])), [ros.RELIABLE])
@@ -30,7 +30,7 @@ def write_messages(bag: Path, topics: Messages) -> Path:
 
 
 def straight_states(ticks: int, left: float = 0.1) -> list[VehicleState]:
-    """Gives states along the x axis at 10 m/s, beside it."""
+    """Return states parallel to the x axis at 10 m/s, `left` of it [m]."""
     return [
         VehicleState(NANOSECONDS + k * TICK_NS, 1.0 * k, left, 0.0, 10.0, 0.0, 0.0)
         for k in range(ticks)
@@ -38,10 +38,10 @@ def straight_states(ticks: int, left: float = 0.1) -> list[VehicleState]:
 
 
 def odometry(states: list[VehicleState], offset_ns: int = 0) -> list[tuple[int, Any]]:
-    """Gives states as messages, logged by a clock that is this far ahead."""
+    """Return states as messages, logged by a clock that is ahead by `offset_ns`."""
     return [(s.stamp_ns + offset_ns, ros.odometry_message(s)) for s in states]
 
 
 def road(y: float, time_ns: int) -> tuple[int, Any]:
-    """Gives a reference parallel to the x axis."""
+    """Return a reference path parallel to the x axis."""
     return time_ns, ros.path_message(np.array([[-10.0, y], [200.0, y]]), time_ns)

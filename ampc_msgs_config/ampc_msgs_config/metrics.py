@@ -5,7 +5,8 @@ A metric is a function of a `DriveRecord`, which `record_of` builds from a drive
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Literal, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ AT_LIMIT = 1e-3
 """Largest distance from the bound at which an angle counts as bounded [rad]."""
 DEG, MICRO = math.degrees(1.0), 1e6
 EMPTY = np.empty(0)
+LOWER, NEUTRAL = -1, 0
+"""Directions of improvement: small values are better, or neither."""
 
 
 class Drive(NamedTuple):
@@ -81,8 +84,8 @@ class Metric(NamedTuple):
     title: str
     unit: str
     """Unit for display."""
-    direction: Literal["lower", "higher", "neutral"]
-    """Which values are better."""
+    direction: int
+    """LOWER or NEUTRAL: which values are better."""
     function: Function
     scale: float = 1.0
     """Factor from the value to the displayed number."""
@@ -222,7 +225,22 @@ def percentile(share: float, scale: float = 1.0) -> Callable[[Array], float]:
 
 def last_rms(seconds: float) -> Function:
     """Return the metric function of the RMS cross-track error of the last seconds [m]."""
-    return lambda record: rms(record.error[-round(seconds / record.period) :])
+
+    def value(record: DriveRecord) -> Value:
+        last = record.error[-round(seconds / record.period) :]
+        return rms(last) if len(last) else None
+
+    return value
+
+
+def distance(record: DriveRecord) -> Value:
+    """Return the distance driven [m]."""
+    return distance_driven(record.time, record.speed) if len(record.speed) else None
+
+
+def max_lateral_acceleration(record: DriveRecord) -> Value:
+    """Return the largest product of speed and yaw rate [m/s^2]."""
+    return largest(record.speed * record.yaw_rate) if len(record.yaw_rate) else None
 
 
 def reversal_rate(record: DriveRecord) -> Value:
@@ -265,11 +283,16 @@ def rms_increment_deg(angle: Array) -> float:
     return rms(np.degrees(np.diff(angle)))
 
 
+def count_equal(value: int, _: Array, values: Array) -> int:
+    """Return the number of ticks with the given value."""
+    return int((values == value).sum())
+
+
 def rung_metrics() -> Iterator[Metric]:
     """Yield the number of ticks on each rung of the fallback."""
     for k, name in enumerate(RUNGS):
-        count = of_tick("rung", lambda _, rung, k=k: int((rung == k).sum()))
-        yield Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", "neutral", count)
+        count = of_tick("rung", partial(count_equal, k))
+        yield Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", NEUTRAL, count)
 
 
 def solve_time_metrics() -> Iterator[Metric]:
@@ -277,55 +300,61 @@ def solve_time_metrics() -> Iterator[Metric]:
     shares = {"median": ("p50", 50.0), "p99": ("p99", 99.0), "max": ("max", 100.0)}
     for key, title in (("median", "median"), ("p99", "99th percentile"), ("max", "largest")):
         name, share = shares[key]
-        words = f"Solve time, {title}", "\u00b5s", "lower"
+        words = f"Solve time, {title}", "\u00b5s", LOWER
         yield Metric(f"solve_time_{key}", *words, of("solve_time", percentile(share)), MICRO)
         function = of("solve_time", percentile(share, MICRO))
         yield Metric(f"solve_time_{name}_us", *words, function)
 
 
 # Title, unit, direction and function of metrics that JSON files contain under two keys.
-RMS = "RMS cross-track error", "m", "lower", of("error", rms)
-P95 = "95th percentile of the cross-track error", "m", "lower", of("error", percentile(95))
-MAX = "Largest cross-track error", "m", "lower", of("error", largest)
-ANGLE = "Largest steering angle", "deg", "lower"
-EFFORT = "Steering effort", "deg/tick", "lower"
+RMS = "RMS cross-track error", "m", LOWER, of("error", rms)
+P95 = "95th percentile of the cross-track error", "m", LOWER, of("error", percentile(95))
+MAX = "Largest cross-track error", "m", LOWER, of("error", largest)
+ANGLE = "Largest steering angle", "deg", LOWER
+EFFORT = "Steering effort", "deg/tick", LOWER
 BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
 TABLE: tuple[Metric, ...] = (
     # Drive
-    Metric("ticks", "Ticks", "", "neutral", of("time", len)),
-    Metric("missed_ticks", "Missed ticks", "", "lower", lambda r: missed_ticks(r.time, r.period)),
-    Metric("duration", "Duration", "s", "neutral", of("time", lambda t: float(t[-1] - t[0]))),
-    Metric("distance", "Distance", "m", "neutral", lambda r: distance_driven(r.time, r.speed)),
+    Metric("ticks", "Ticks", "", NEUTRAL, of("time", len)),
+    Metric("missed_ticks", "Missed ticks", "", LOWER, lambda r: missed_ticks(r.time, r.period)),
+    Metric("duration", "Duration", "s", NEUTRAL, of("time", lambda t: float(t[-1] - t[0]))),
+    Metric("distance", "Distance", "m", NEUTRAL, distance),
     # Tracking error
-    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", "lower", of("error", mean_square)),
-    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2", "lower", of("lateral", mean_square)),
+    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", LOWER, of("error", mean_square)),
+    Metric(
+        "mse_lateral_m2",
+        "MSE of Y - Y_ref(X), as in the paper",
+        "m\u00b2",
+        LOWER,
+        of("lateral", mean_square),
+    ),
     Metric("rms_error_m", *RMS),
     Metric("p95_error_m", *P95),
     Metric("max_error_m", *MAX),
     Metric("rms_cross_track_error", *RMS),
     Metric("p95_cross_track_error", *P95, note="of the absolute value"),
     Metric("max_cross_track_error", *MAX),
-    Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", "lower", last_rms(3.0)),
-    Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", "lower", last_rms(5.0)),
-    Metric("diverged", "Lost at the end", "", "lower", of("error", diverged)),
-    Metric("rms_heading_error", "RMS heading error", "deg", "lower", of("heading", rms), DEG),
+    Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", LOWER, last_rms(3.0)),
+    Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", LOWER, last_rms(5.0)),
+    Metric("diverged", "Lost at the end", "", LOWER, of("error", diverged)),
+    Metric("rms_heading_error", "RMS heading error", "deg", LOWER, of("heading", rms), DEG),
     Metric(
         "rms_heading_error_deg",
-        *("RMS heading error", "deg", "lower"),
+        *("RMS heading error", "deg", LOWER),
         of("heading", lambda heading: math.degrees(rms(heading))),
     ),
     # Car and steering
     Metric(
         "max_lateral_acceleration",
-        *("Largest lateral acceleration", "m/s\u00b2", "lower"),
-        lambda r: largest(r.speed * r.yaw_rate),
+        *("Largest lateral acceleration", "m/s\u00b2", LOWER),
+        max_lateral_acceleration,
         note="speed times yaw rate",
     ),
     Metric("steering_max_deg", *ANGLE, of("steering", lambda u: float(np.degrees(largest(u))))),
     Metric("max_steering", *ANGLE, of("steering", largest, 2), DEG),
     Metric(
         "steering_range_deg",
-        *("Range of the steering angle", "deg", "lower"),
+        *("Range of the steering angle", "deg", LOWER),
         of("steering", lambda angle: math.degrees(np.ptp(angle))),
     ),
     Metric("steering_rms_increment_deg", *EFFORT, of("steering", rms_increment_deg, 2)),
@@ -338,49 +367,49 @@ TABLE: tuple[Metric, ...] = (
     ),
     Metric(
         "steering_reversals",
-        *("Steering reversals", "", "lower"),
+        *("Steering reversals", "", LOWER),
         of("steering", reversals, 2),
         note=BAND,
     ),
     Metric(
         "steering_reversal_rate",
-        *("Steering reversals per second", "1/s", "lower"),
+        *("Steering reversals per second", "1/s", LOWER),
         reversal_rate,
         note=BAND,
     ),
     Metric(
         "time_at_limit",
-        *("Time at the angle bound", "s", "lower"),
+        *("Time at the angle bound", "s", LOWER),
         time_at_limit,
         note="command within 1 mrad of the bound",
     ),
     # Controller
     Metric(
         "time_constrained",
-        *("Time with active constraints", "s", "lower"),
+        *("Time with active constraints", "s", LOWER),
         of_tick("active_constraints", time_nonzero),
         note="of the controller",
     ),
     Metric(
         "time_clipped",
-        *("Time clipped by the guard", "s", "lower"),
+        *("Time clipped by the guard", "s", LOWER),
         of_tick("clipped", time_nonzero),
     ),
     Metric(
         "fall_backs",
-        *("Fallback", "ticks", "lower"),
+        *("Fallback", "ticks", LOWER),
         of_tick("rung", lambda _, rung: int((rung >= SHIFTED_PLAN).sum())),
         note="ticks below the rung 'slack'",
     ),
     *rung_metrics(),
     Metric(
         "unsolved_ticks",
-        *("Unsolved QPs", "ticks", "lower"),
-        of_tick("converged", lambda _, converged: int((converged == 0).sum())),
+        *("Unsolved QPs", "ticks", LOWER),
+        of_tick("converged", partial(count_equal, 0)),
     ),
     Metric(
         "stop_requests",
-        *("Stop requests", "", "lower"),
+        *("Stop requests", "", LOWER),
         of_tick("stop_requested", count_begins),
         note="number of times that a request begins",
     ),

@@ -57,7 +57,7 @@ class Comparison(NamedTuple):
             yield scenario.name, self.cells[i * count : (i + 1) * count]
 
     def marked_rows(self, key: str) -> Iterator[tuple[str, list[tuple[Cell, bool]]]]:
-        """Yield the same rows, where each cell tells whether it has the smallest value."""
+        """Yield the same rows, each cell with a flag that marks the smallest value."""
         for name, cells in self.rows():
             best = best_of(cells, key)
             yield name, [(cell, cell.contender in best) for cell in cells]

@@ -26,7 +26,7 @@ from ampc_ros.preview.programme import FRICTION_SHARE
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-from launch_scripts.reporting.verdicts import SUMMARY, Thresholds, Verdict, check_thresholds
+from launch_scripts.reporting.summary import SUMMARY, Thresholds, Verdict, check_thresholds
 
 if TYPE_CHECKING:
     from sim_vehicle.parameters import Vehicle
@@ -155,10 +155,12 @@ def judge_columns(
     period = settings.sample_time if settings else float(np.median(np.diff(time)))
     error = errors_of(columns, states_of(rows, columns.start_ns), time, context.to_cg, notes)
     tick = {"stop_requested": columns.values.get(ros.STOP_REQUEST, NO_POINTS), **columns.tick}
+    valid = error[np.isfinite(error[:, 0])]
     record = DriveRecord(
         time,
         period,
-        *error[np.isfinite(error[:, 0])].T,
+        valid[:, 0],
+        valid[:, 1],
         speed=states[:, 3],
         yaw_rate=states[:, 5],
         steering=steering,

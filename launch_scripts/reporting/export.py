@@ -24,8 +24,17 @@ DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)), "-.", (0, (8, 2)))
 FIRST_ROW, FURTHER_ROW, EVENT_ROW = 2.2, 1.2, 0.3
 """Height of the rows of a chart [inch]."""
 STATE = {"x": "m", "y": "m", "yaw": "rad", "v_x": "m/s", "v_y": "m/s", "yaw_rate": "rad/s"}
-TICK_UNITS = {"solve_time": "s", "slack": "m", "planned_steering": "rad", "steering": "rad"}
-"""Units of published quantities; the others are numbers or have the units of the docs."""
+TICK_UNITS = {
+    "m": ("cross_track_error", "slack"),
+    "rad": ("heading_error", "feed_forward", "planned_steering", "steering"),
+    "1/m": ("curvature",),
+    "m/s^2": ("disturbance",),
+    "s": (
+        *("solve_time", "timer_lateness"),
+        *("state_age", "state_silence", "path_age", "path_silence"),
+    ),
+}
+"""Published quantities by unit; the others are counts, indices and dimensionless numbers."""
 
 
 def export_report(file: Path, drives: Sequence[JudgedDrive], formats: Sequence[str]) -> list[Path]:
@@ -85,9 +94,10 @@ def time_series(drive: JudgedDrive) -> dict[str, Array]:
             columns[f"wind_{axis} [m/s]"] = latest(values[ros.WIND][:, [0, k]], time)
     if record.angle_bound is not None:
         columns["angle_bound [rad]"] = record.angle_bound
+    tick_units = {name: f" [{unit}]" for unit, names in TICK_UNITS.items() for name in names}
     for name, rows in record.tick.items():
         if len(rows):
-            columns[f"tick/{name} [{TICK_UNITS.get(name, '')}]"] = latest(rows, time)
+            columns[f"tick/{name}{tick_units.get(name, '')}"] = latest(rows, time)
     return columns
 
 
@@ -117,7 +127,7 @@ def panel_figure(panel: Panel, drives: Sequence[JudgedDrive]) -> Figure:
         if axis.visible:
             ax.set_ylim(min(low, *axis.visible), max(high, *axis.visible))
         if len(ax.get_legend_handles_labels()[1]) > 1:
-            ax.legend(fontsize=7, ncols=3, loc="best", frameon=False)
+            ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes[0].set_title(panel.title, loc="left")
     axes[-1].set_xlabel("time [s]")
     return figure

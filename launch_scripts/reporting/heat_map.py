@@ -60,15 +60,14 @@ def draw_heat_map(
         ax = figure.subplots()
         x, y = np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
         norm = LogNorm(low, high if high > low else 1.01 * low, clip=True)
-        mesh = ax.pcolormesh(
-            x, y, np.ma.masked_invalid(values), cmap=MAP, norm=norm, edgecolors="white", lw=0.5
-        )
+        mesh = ax.pcolormesh(x, y, values, cmap=MAP, norm=norm, edgecolors="white", lw=0.5)
         for i, row in enumerate(cells):
             for j, cell in enumerate(row):
                 corner, ink, box = (j - 0.5, i - 0.5), INK, None
                 if cell.hatch:
-                    style = {"facecolor": "white", "edgecolor": "#999999", "linewidth": 0.5}
-                    ax.add_patch(Rectangle(corner, 1, 1, hatch=cell.hatch, **style))
+                    square = Rectangle(corner, 1, 1, hatch=cell.hatch, fc="white", ec="#999999")
+                    square.set_linewidth(0.5)
+                    ax.add_patch(square)
                     box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
                 elif np.dot(mesh.to_rgba(np.array(cell.value))[:3], LUMINANCE) < DARK:
                     ink = "white"

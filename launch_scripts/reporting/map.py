@@ -162,7 +162,7 @@ def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
 
 def even_choice(count: int, most: int) -> NDArray[np.int64]:
     """Return at most `most` indices below `count`, evenly spaced, with both ends."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    return np.asarray(np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)))
 
 
 def rungs(drive: JudgedDrive, time: Array) -> list[int]:

@@ -23,7 +23,7 @@ from launch_scripts.reporting.lines import PALETTE
 from launch_scripts.reporting.map import OLDEST, draw_map
 from launch_scripts.reporting.pages import num, render
 from launch_scripts.reporting.panels import PANELS, Panel, draw_panel
-from launch_scripts.reporting.verdicts import SUMMARY
+from launch_scripts.reporting.summary import SUMMARY
 
 MAX_BYTES = 2_950_000
 """Largest size of the page."""

@@ -1,13 +1,14 @@
 "use strict";
 const RATES = [0.5, 1, 2, 5, 10, 20, 50, 100];
 const PRINT_WIDTH = 680; // A4 between the margins [px]
-const NEAR = 25; // half of what the close-up shows [m]
-const HEIGHTS = [260, 560]; // of the map [px]
+const NEAR = 25; // half the width of the close-up [m]
+const HEIGHTS = [260, 560]; // smallest and largest height of the map [px]
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
 const at = (id) => document.getElementById(id);
 const plots = [];
 let report, now = 0, playing = false, drawing = false, syncing = false;
 
+// Text of an element that contains gzip in base64.
 async function unpacked(id) {
   const bytes = Uint8Array.from(atob(at(id).textContent.trim()), (c) => c.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -20,7 +21,7 @@ function run(code) {
   document.head.append(script);
 }
 
-// Index of the last frame at or before a time.
+// Index of the last time at or before t.
 function before(times, t) {
   let low = 0, high = times.length - 1;
   while (low < high) {
@@ -30,6 +31,7 @@ function before(times, t) {
   return low;
 }
 
+// Linear interpolation of a series between frames i and i + 1; null where there is no value.
 function between(drive, name, i, share) {
   const values = drive[name];
   if (!values.length || values[i] === null) return null;
@@ -50,11 +52,11 @@ function stateAt(drive, t) {
 function predictionAt(drive, t) {
   const all = drive.predictions;
   if (!all.length || t < all[0].t) return { x: [], y: [] };
-  const found = all[before(drive.predicted_at, t)];
-  return t - found.t > report.oldest ? { x: [], y: [] } : found;
+  const last = all[before(drive.predicted_at, t)];
+  return t - last.t > report.oldest ? { x: [], y: [] } : last;
 }
 
-// Traces of one drive on the map: prediction, outline, marker.
+// Coordinates of the moving traces of one drive: prediction, outline, marker.
 function placed(drive, t) {
   const s = stateAt(drive, t), c = Math.cos(s.yaw), n = Math.sin(s.yaw);
   const predicted = predictionAt(drive, t);
@@ -75,7 +77,7 @@ function moveCars() {
     change["marker.angle"].push(...place.angle);
     traces.push(drive.trace, drive.trace + 1, drive.trace + 2);
     if (k === Number(at("which").value)) Object.assign(view, about(place.state));
-    tell(drive, k, place.state);
+    fillReadout(drive, k, place.state);
   });
   return Promise.all([
     Plotly.restyle(at("map"), change, traces),
@@ -83,7 +85,7 @@ function moveCars() {
   ]);
 }
 
-// The close-up follows its car, as wide as it was zoomed.
+// Axis ranges of the close-up around its car; the zoom is kept.
 function about(state) {
   const { xaxis, yaxis } = at("near")._fullLayout;
   const half = (axis) => (axis.range[1] - axis.range[0]) / 2;
@@ -91,7 +93,8 @@ function about(state) {
   return { "xaxis.range": [state.x - w, state.x + w], "yaxis.range": [state.y - h, state.y + h] };
 }
 
-function tell(drive, k, state) {
+// Row of a drive in the table below the maps.
+function fillReadout(drive, k, state) {
   const cells = at("readout").tBodies[0].rows[k].cells;
   const words = (value, digits, unit) =>
     value === null ? "\u2013" : `${value.toFixed(digits).replace(/^-(?=[0.]+$)/, "")} ${unit}`;
@@ -151,7 +154,7 @@ function onKey(event) {
   event.preventDefault();
 }
 
-// All plots show the same stretch of time.
+// Apply the time range of one chart to all charts.
 async function onZoom(source, change) {
   if (syncing) return;
   const key = Object.keys(change).find((name) => /^xaxis\d*\.(range|autorange)/.test(name));
@@ -164,7 +167,7 @@ async function onZoom(source, change) {
   moveCursors();
 }
 
-// As high as the path needs where a metre is as long on both axes.
+// Height of the map at which both axes have the same scale [px].
 function heightOf(element, data) {
   const span = (name) => {
     const values = data.flatMap((line) => line[name]).filter((value) => value !== null);
@@ -234,8 +237,8 @@ function listen() {
 
 async function main() {
   if (!("DecompressionStream" in window)) {
-    at("trouble").textContent = "This browser is too old to unpack the plots (Chrome 80, Firefox 113 " +
-      "or Safari 16.4 would do). All tables are complete.";
+    at("trouble").textContent = "This browser is too old to unpack the charts (they need Chrome 80, Firefox 113 " +
+      "or Safari 16.4). All tables are complete.";
     return;
   }
   report = JSON.parse(await unpacked("data"));
@@ -250,6 +253,6 @@ async function main() {
 }
 
 main().catch((error) => {
-  at("trouble").textContent = `The plots could not be drawn: ${error.message}. All tables are complete.`;
+  at("trouble").textContent = `The charts could not be drawn: ${error.message}. All tables are complete.`;
   console.error(error);
 });

@@ -22,7 +22,7 @@ class SimulatedDrive(NamedTuple):
     error: Array
     """Cross-track error at each tick (n,) [m]."""
     diagnosis: Sequence[Diagnosis] = ()
-    """Of the controller, one per tick; empty if not recorded."""
+    """Diagnosis of the controller at each tick; empty if not recorded."""
 
 
 def record_of_simulated(driven: SimulatedDrive) -> DriveRecord:

@@ -1,4 +1,4 @@
-"""The judge: numbers of drives that can be worked out by hand."""
+"""Metrics of drives whose values are computed by hand."""
 
 import math
 
@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.metrics import (
+    METRICS,
+    TABLE,
     Drive,
+    DriveRecord,
     distance_driven,
     errors,
     evaluate,
     lateral_errors,
+    measure,
+    record_of,
     reversals,
     ticks,
     time_where,
@@ -24,7 +29,7 @@ SLOPE = make_path([(0.0, 0.0), (60.0, 80.0)])
 
 
 def drive(left: list[float], steering: list[float], times: list[float]) -> Drive:
-    """Give a drive along the x axis at 10 m/s with these offsets, angles and times."""
+    """Return a drive along the x axis at 10 m/s with these offsets, angles and times."""
     states = [
         VehicleState(round(t * NANOSECONDS), 10.0 * t, y, 0.0, 10.0, 0.0, 0.0)
         for t, y in zip(times, left, strict=True)
@@ -33,7 +38,7 @@ def drive(left: list[float], steering: list[float], times: list[float]) -> Drive
 
 
 def along_slope(left: Array) -> Drive:
-    """Give a drive parallel to SLOPE, to its left."""
+    """Return a drive parallel to SLOPE, to its left."""
     s, yaw = 10.0 * np.arange(len(left)), math.atan2(80.0, 60.0)
     states = [
         VehicleState(
@@ -136,3 +141,74 @@ def test_time_counts_from_an_active_tick_to_the_next_one() -> None:
 def test_distance_is_the_integral_of_the_speed_forward_or_backward() -> None:
     time, speed = np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, -4.0])
     assert distance_driven(time, speed) == pytest.approx(3.0 + 8.0)
+
+
+def test_every_metric_has_its_own_key_and_a_title() -> None:
+    assert len(METRICS) == len(TABLE)
+    assert all(metric.title for metric in TABLE)
+
+
+@pytest.mark.parametrize("duration", [0.2, 0.02])
+def test_reversals_per_second_of_a_drive_below_a_second(duration: float) -> None:
+    time = np.linspace(0.0, duration, 4, dtype=np.float64)
+    record = DriveRecord(time, 0.05, steering=np.radians([0.0, 2.0, 1.0, 3.0]))
+    expected = 2 / max(duration, 0.05)
+    assert measure(["steering_reversal_rate"], record) == pytest.approx(
+        {"steering_reversal_rate": expected}
+    )
+
+
+def test_metrics_of_quantities_that_were_not_recorded_are_none() -> None:
+    values = measure(METRICS, DriveRecord(np.array([0.0, 0.1]), 0.1))
+    assert {key for key, value in values.items() if value is not None} == {
+        "ticks",
+        "missed_ticks",
+        "duration",
+    }
+
+
+def test_metrics_with_two_keys_differ_in_the_unit_at_most() -> None:
+    record = record_of(drive([1.0, -2.0, 0.0], [0.0, 0.05, -0.02], [5.0, 5.1, 5.2]), ROAD, 1.6, 0.1)
+    values = measure(METRICS, record)
+    for result, report in (
+        ("rms_error_m", "rms_cross_track_error"),
+        ("rms_heading_error_deg", "rms_heading_error"),
+        ("steering_rms_increment_deg", "steering_effort"),
+        ("steering_max_deg", "max_steering"),
+        ("solve_time_p99_us", "solve_time_p99"),
+        ("solve_time_p50_us", "solve_time_median"),
+    ):
+        value = values[report]
+        assert value is not None
+        assert values[result] == pytest.approx(value * METRICS[report].scale, rel=1e-12)
+
+
+def test_quantities_of_the_controller_are_counted_and_timed() -> None:
+    time = np.array([0.0, 0.1, 0.2, 0.3])
+
+    def rows(*values: float) -> Array:
+        return np.column_stack((time, values))
+
+    record = DriveRecord(
+        time,
+        0.1,
+        steering=np.array([0.0, 0.5, -0.4999, 0.0]),
+        angle_bound=np.full(4, 0.5),
+        tick={
+            "rung": rows(0, 1, 2, 4),
+            "converged": rows(1, 0, 1, 1),
+            "clipped": rows(0, 3, 0, 0),
+            "stop_requested": rows(1, 0, 1, 1),
+        },
+    )
+    keys = ("fall_backs", "rung_slack", "unsolved_ticks", "time_clipped", "stop_requests")
+    assert measure((*keys, "time_at_limit"), record) == pytest.approx(
+        {
+            "fall_backs": 2,
+            "rung_slack": 1,
+            "unsolved_ticks": 1,
+            "time_clipped": 0.1,
+            "stop_requests": 2,
+            "time_at_limit": 0.2,
+        }
+    )

@@ -1,5 +1,6 @@
-"""The matrix of controllers and scenarios: same car, same noise, and nobody's failure is hidden."""
+"""Comparison of controllers and scenarios: same car, same noise, visible failures."""
 
+import csv
 import json
 import math
 from pathlib import Path
@@ -9,12 +10,12 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.metrics import evaluate
+from ampc_msgs_config.metrics import LOWER, METRICS, evaluate
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller
-from launch_scripts.compare import main
+from launch_scripts.compare import main, read_contender
 from launch_scripts.comparing.cells import (
     QUANTITIES,
     Cell,
@@ -23,13 +24,13 @@ from launch_scripts.comparing.cells import (
     best_of,
     drive_cell,
 )
-from launch_scripts.comparing.table import short
+from launch_scripts.comparing.results import three_digits
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 from tests.html_pages import Elements, check_that_no_request_leaves
 
-REPEATED = [q.key for name, q in QUANTITIES.items() if name != "solve_time"]
-"""Quantities that every run gives again."""
+REPEATED = [key for name, key in QUANTITIES.items() if name != "solve_time"]
+"""Metrics that every run reproduces."""
 PREVIEW = Contender("preview", "preview", "preview_paper")
 PAPER = Contender("paper", "paper", "table3")
 CALM = Conditions()
@@ -44,7 +45,7 @@ def repeated(cell: Cell) -> list[float]:
 
 
 def compare(folder: Path, *arguments: str) -> dict[str, Any]:
-    """Run the script; give what it writes."""
+    """Run the command and return the content of its JSON file."""
     assert main([*arguments, "--output", str(folder)]) == 0
     content: dict[str, Any] = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return content
@@ -132,6 +133,10 @@ def test_a_controller_that_refuses_a_path_is_a_cell_with_the_reason() -> None:
     assert "turns by 180 degrees against its chord" in cell.reason
 
 
+def test_small_values_of_all_compared_metrics_are_better() -> None:
+    assert {METRICS[key].direction for key in QUANTITIES.values()} == {LOWER}
+
+
 def test_a_lost_car_is_called_lost_and_is_never_the_best() -> None:
     lost = drive_cell(Contender("classic", "classic", "table3"), road("sc2"), CALM)
     assert lost.outcome.startswith("lost at ")
@@ -180,8 +185,8 @@ def test_the_page_shows_every_number_that_was_driven_on_the_road(
 ) -> None:
     shown = [float(a["value"] or "") for tag, a in Elements(page).found if tag == "data"]
     known = [
-        cell[quantity.key]
-        for quantity in QUANTITIES.values()
+        cell[key]
+        for key in QUANTITIES.values()
         for cell in content["cells"]
         if cell["fate"] == "driven"
     ]
@@ -209,25 +214,57 @@ def test_a_users_road_is_a_scenario(tmp_path: Path) -> None:
     assert [cell["fate"] for cell in found["cells"]] == ["driven"] * len(CONTROLLERS)
 
 
+def test_further_formats_hold_the_same_numbers(tmp_path: Path) -> None:
+    arguments = ("--controllers", "preview", "paper", "--scenarios", "circle", "sc1")
+    found = compare(tmp_path, *arguments, "--format", "csv", "svg", "pdf")
+    with (tmp_path / "compare.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    heads = {key: f"{key} [{METRICS[key].unit}]" for key in QUANTITIES.values()}
+    assert [row["outcome"] for row in rows] == ["driven", "refused", "driven", "driven"]
+    for row, cell in zip(rows, found["cells"], strict=True):
+        assert (row["scenario"], row["controller"]) == (cell["scenario"], cell["controller"])
+        for key, head in heads.items():
+            assert row[head] == ("" if cell["fate"] == "refused" else repr(cell[key]))
+    figures = {"compare.svg", "compare_circle.svg", "compare_sc1.svg"}
+    assert {file.name for file in tmp_path.glob("*.svg")} == figures
+    assert (tmp_path / "compare.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_controller_of_a_user_is_named_by_its_class_and_found_by_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[str] = []
+    monkeypatch.setattr("launch_scripts.run.options.check_controller", checked.append)
+    monkeypatch.chdir(tmp_path)
+    contender = read_contender("my/file.py:Stanley", "paper")
+    name = f"{tmp_path}/my/file.py:Stanley"
+    assert contender == Contender("Stanley", name, "")
+    assert checked == [name]
+    with pytest.raises(ValueError, match="Stanley has no gains"):
+        read_contender("file.py:Stanley=preview", "paper")
+
+
 def test_roads_on_which_nobody_drives_are_drawn_as_such(tmp_path: Path) -> None:
     found = compare(tmp_path, "--controllers", "paper", "--scenarios", "circle", "sine")
     assert [cell["fate"] for cell in found["cells"]] == ["refused", "driven"]
-    assert "Nobody could drive here." in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "No controller completed this scenario." in (tmp_path / "page.html").read_text(
+        encoding="utf-8"
+    )
     compare(tmp_path, "--controllers", "paper", "--scenarios", "circle")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--controllers", "lqr"], "--controllers lqr: 'lqr' must be one of preview, paper"),
+        (["--controllers", "lqr"], "--controllers lqr: "),
         (["--controllers", "preview=x.yaml"], "--controllers preview=x.yaml: 'x.yaml' is neither"),
         (["--controllers", "preview="], "--controllers preview=: '' is neither a file nor one of"),
         (["--controllers", "pure_pursuit=preview"], "pure_pursuit has no gains"),
-        (["--controllers", "paper", "paper"], "--controllers: 'paper' is there twice"),
+        (["--controllers", "paper", "paper"], "--controllers: 'paper' occurs twice"),
         (["--controllers", f"paper={__file__}"], "test_compare.py: not YAML"),
         (["--scenarios", "sc9"], "--scenarios sc9: 'sc9' is neither a file nor one of the shipped"),
         (["--scenarios", "no.csv"], "--scenarios no.csv: no.csv: cannot be read"),
-        (["--scenarios", "sc1", "sc1"], "--scenarios: 'sc1' is there twice"),
+        (["--scenarios", "sc1", "sc1"], "--scenarios: 'sc1' occurs twice"),
         (["--vehicle", "lorry"], "--vehicle: 'lorry' is neither a file nor one of the shipped"),
         (["--settings", "fast"], "--settings: 'fast' is neither a file"),
         (["--noise", "x9"], "--noise: 'x9' is neither a file nor one of the shipped noise: x1"),
@@ -236,7 +273,7 @@ def test_roads_on_which_nobody_drives_are_drawn_as_such(tmp_path: Path) -> None:
         (["--seed", "-1"], "--seed = -1 must lie in [0, "),
         (["--laps", "0"], "--laps = 0 must lie in [1, "),
         (["--speed", "400"], "speed"),
-        (["--output", __file__], "cannot make this folder"),
+        (["--output", __file__], "cannot create this folder"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line_before_anything_is_driven(
@@ -255,4 +292,4 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_driven(
     [(0.0330, "0.0330"), (1.87e-6, "1.87e-06"), (14.04, "14.0"), (123.4, "123"), (0.0, "0")],
 )
 def test_numbers_have_three_digits(value: float, shown: str) -> None:
-    assert short(value) == shown
+    assert three_digits(value) == shown

@@ -1,7 +1,9 @@
-"""The report: what it says about bags of every kind, and what it refuses."""
+"""Report of complete, old, foreign and damaged bags."""
 
+import csv
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +17,11 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Command, Diagnosis
 from launch_scripts.report import main, names_of, page_file
-from launch_scripts.reporting.context import ReportInputs
-from launch_scripts.reporting.drive import Judged, judge_bag
+from launch_scripts.reporting import export, page
+from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
-from launch_scripts.reporting.panels import panels
+from launch_scripts.reporting.panels import PANELS, Axis, Panel, draw_panel
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,
@@ -32,21 +34,21 @@ from tests.report_bags import (
 from tests.tools.test_result import CIRCLE, drive_messages, write_bag
 from tests.workshop.bench.bench_report_page import make_bag
 
-EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "thresholds.yaml"
+EXAMPLE = Path(__file__).parents[2] / "launch_scripts" / "reporting" / "thresholds.yaml"
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of the whole contract: 12 s, of which almost 5 are faulty."""
+    """Write a bag with all topics: 12 s, almost 5 s of them with faults."""
     return make_bag(tmp_path_factory.mktemp("whole") / "bag", minutes=0.2, start=590.0)
 
 
-def judged(bag: Path, namespace: str | None = None, **given: Any) -> Judged:
-    return judge_bag(bag, "drive", namespace, ReportInputs(**given))
+def judged(bag: Path, namespace: str | None = None, **options: Any) -> JudgedDrive:
+    return judge_bag(bag, "drive", namespace, **options)
 
 
 def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
-    """Messages of a stranger: odometry and a path, no command; others in place of these."""
+    """Return messages of another system: odometry and a path, no command, or the given topics."""
     messages: Messages = {
         "/odom": odometry(straight_states(ticks)),
         "/reference_path": [road(0, 0)],
@@ -56,7 +58,7 @@ def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
 
 def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> None:
     drive = judged(whole)
-    found = drive.summary
+    found = drive.metrics
     assert found["ticks"] == 120
     assert found["missed_ticks"] == 0
     assert found["duration"] == pytest.approx(11.9)
@@ -66,31 +68,31 @@ def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> No
     assert found["rung_optimal"] == 71
     assert found["time_constrained"] == pytest.approx(4.9)
     assert found["time_at_limit"] == 0.0
-    assert drive.known.controller == "preview"
+    assert drive.context.controller == "preview"
     assert drive.notes == []
 
 
 def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole: Path) -> None:
     drive = judged(whole)
     radius = np.hypot(drive.states[:, 0], drive.states[:, 1] - 800.0)
-    swing = 800.0 - np.hypot(radius, drive.known.to_cg)  # 1.5 m ahead on the tangent
+    swing = 800.0 - np.hypot(radius, drive.context.to_cg)  # 1.5 m ahead on the tangent
     np.testing.assert_allclose(drive.errors[:, 0], swing, atol=1e-3)
 
 
 def test_an_old_bag_is_reported_with_what_it_lacks_in_words(tmp_path: Path) -> None:
     drive = judged(write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)}))
-    assert drive.summary["solve_time_median"] == pytest.approx(1e-4)
-    assert drive.summary["fall_backs"] is None
+    assert drive.metrics["solve_time_median"] == pytest.approx(1e-4)
+    assert drive.metrics["fall_backs"] is None
     text = " ".join(drive.notes)
     assert "no controller/configuration" in text
-    assert "no controller/tick: faults, fall-backs and guard are left out" in text
+    assert "no controller/tick: no faults, fallbacks and guard" in text
 
 
 def test_odometry_alone_is_a_drive(tmp_path: Path) -> None:
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(straight_states(30))}))
-    assert drive.summary["distance"] == pytest.approx(29.0)
-    assert drive.summary["max_cross_track_error"] is None
-    assert "no reference_path: errors are left out" in drive.notes[-1]
+    assert drive.metrics["distance"] == pytest.approx(29.0)
+    assert drive.metrics["max_cross_track_error"] is None
+    assert "no reference_path" in drive.notes[-1]
 
 
 def test_commands_with_stamps_of_their_own_answer_the_state_before(tmp_path: Path) -> None:
@@ -101,9 +103,9 @@ def test_commands_with_stamps_of_their_own_answer_the_state_before(tmp_path: Pat
     drive = judged(
         write_messages(tmp_path / "bag", foreign(topics={"/steering_command": commands}))
     )
-    assert drive.summary["ticks"] == 30
-    assert drive.summary["max_cross_track_error"] == pytest.approx(0.1)
-    assert any("state before it" in note for note in drive.notes)
+    assert drive.metrics["ticks"] == 30
+    assert drive.metrics["max_cross_track_error"] == pytest.approx(0.1)
+    assert any(note.startswith("Commands carry no stamp") for note in drive.notes)
 
 
 def test_each_tick_is_judged_by_the_path_that_was_in_force(tmp_path: Path) -> None:
@@ -119,7 +121,7 @@ def test_log_times_of_another_clock_are_brought_onto_that_of_the_stamps(tmp_path
     topics = {"/odom": odometry(straight_states(30), ahead), "/stop_request": stop}
     drive = judged(write_messages(tmp_path / "bag", topics))
     assert drive.columns.values["stop_request"][0, 0] == pytest.approx(1.5)
-    assert drive.summary["stop_requests"] == 1
+    assert drive.metrics["stop_requests"] == 1
 
 
 def test_shuffled_times_give_the_same_numbers_and_a_note(tmp_path: Path) -> None:
@@ -128,7 +130,7 @@ def test_shuffled_times_give_the_same_numbers_and_a_note(tmp_path: Path) -> None
     mixed = [(rows[k][0], rows[int(i)][1]) for k, i in enumerate(order)]
     straight = judged(write_messages(tmp_path / "straight", foreign()))
     shuffled = judged(write_messages(tmp_path / "mixed", foreign(topics={"/odom": mixed})))
-    assert shuffled.summary == straight.summary
+    assert shuffled.metrics == straight.metrics
     assert any("time goes back" in note for note in shuffled.notes)
 
 
@@ -136,7 +138,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_used(tmp_path: Path) -> N
     states = straight_states(30)
     states[5] = states[5]._replace(x=math.nan)
     drive = judged(write_messages(tmp_path / "bag", {"/odom": odometry(states)}))
-    assert drive.summary["ticks"] == 29
+    assert drive.metrics["ticks"] == 29
     assert any(note.startswith("/odom: 1 of 30 messages refused: odom") for note in drive.notes)
 
 
@@ -170,15 +172,15 @@ def test_no_number_in_a_tick_breaks_the_report(value: float, tmp_path: Path) -> 
 def test_one_namespace_is_reported_never_mixed_with_another(tmp_path: Path) -> None:
     topics = foreign() | {f"/car1{k}": v for k, v in foreign(20).items()}
     bag = write_messages(tmp_path / "bag", topics)
-    assert judged(bag, "/car1").summary["ticks"] == 20
-    assert judged(bag, "").summary["ticks"] == 30
+    assert judged(bag, "/car1").metrics["ticks"] == 20
+    assert judged(bag, "").metrics["ticks"] == 30
 
 
 def test_a_truncated_bag_is_reported_up_to_where_it_ends(tmp_path: Path) -> None:
     file = next(write_messages(tmp_path / "bag", foreign(300)).glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     drive = judged(file.parent)
-    assert 50 < (drive.summary["ticks"] or 0) < 250
+    assert 50 < (drive.metrics["ticks"] or 0) < 250
     assert drive.notes[0] == "The bag was not closed: its last moments may be missing."
 
 
@@ -213,15 +215,15 @@ def test_odometry_of_a_wrong_type_is_refused_in_one_line(
 def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> None:
     vehicle = load_vehicle(find("vehicles", "paper"))
     drive = judged(write_messages(tmp_path / "bag", foreign()), vehicle=vehicle)
-    assert drive.known.to_cg == vehicle.chassis.cg_to_rear_axle
-    outline = drive.known.outline
+    assert drive.context.to_cg == vehicle.chassis.cg_to_rear_axle
+    outline = drive.context.outline
     length = vehicle.size.rear_overhang + vehicle.chassis.wheelbase + vehicle.size.front_overhang
     assert np.ptp(outline[:, 0]) == pytest.approx(length)
     assert np.ptp(outline[:, 1]) == pytest.approx(vehicle.size.width)
 
 
 def test_the_bound_of_the_angle_is_the_narrower_of_settings_and_tyre(whole: Path) -> None:
-    bound = judged(whole).known.angle_bound(np.array([0.5, 30.0]))
+    bound = judged(whole).context.angle_bound(np.array([0.5, 30.0]))
     assert bound is not None
     assert bound[0] == pytest.approx(math.pi / 6)
     assert bound[1] < 0.1
@@ -232,7 +234,7 @@ def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whol
     limits = GuardLimits(
         speed=(0.0, 20.0), max_angle=(0.6, 0.2), lateral_acceleration=(3.0, 3.0), **row
     )
-    known = judged(whole).known._replace(guard=limits)
+    known = judged(whole).context._replace(guard=limits)
     chassis = known.chassis
     assert chassis is not None
     bound = known.guard_bound(np.array([1.0, 20.0]))
@@ -256,7 +258,7 @@ def thresholds(folder: Path, text: str) -> str:
         ("max_error: 0.5", 2, "limits.yaml: unknown key 'max_error'"),
         ("max_cross_track_error: wide", 2, "max_cross_track_error = 'wide' must be a number"),
         ("max_cross_track_error: -1.0", 2, "max_cross_track_error = -1.0 must lie in [0, inf] m"),
-        ("{}", 2, "sets no threshold"),
+        ("{}", 2, "contains no threshold"),
     ],
 )
 def test_thresholds_decide_the_exit_code(
@@ -323,8 +325,8 @@ def test_bags_side_by_side_keep_their_colours_in_all_plots(whole: Path, tmp_path
     other = write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)})
     drives = [judged(whole)._replace(name="a"), judged(other)._replace(name="b")]
     colours: dict[str, set[str]] = {"a": set(), "b": set()}
-    for panel in panels(drives, 500)[0]:
-        for line in panel.figure.data:
+    for panel in PANELS:
+        for line in draw_panel(panel, drives, 500).data:
             if ": " in line.name:
                 colours[line.name.partition(": ")[0]].add(line.line.color)
     assert colours == {"a": {"#0072B2"}, "b": {"#D55E00"}}
@@ -363,3 +365,61 @@ def test_the_page_lies_beside_its_bag_unless_told_otherwise() -> None:
     assert page_file(None, Path("/data/drive_1")) == Path("/data/drive_1_report.html")
     assert page_file(Path("out"), Path("/x")) == Path("out/report.html")
     assert page_file(Path("out/my.html"), Path("/x")) == Path("out/my.html")
+
+
+def test_a_panel_of_a_user_is_drawn_on_the_page(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def yaw_rate(drive: JudgedDrive) -> Iterator[Series]:
+        yield Series("yaw rate", drive.record.time, drive.record.yaw_rate)
+
+    panel = Panel("yaw_rate", "Yaw rate", "As measured.", (Axis("rate [rad/s]", yaw_rate),))
+    monkeypatch.setattr(page, "PANELS", [*PANELS, panel])
+    monkeypatch.setattr(export, "PANELS", [*PANELS, panel])
+    assert main([str(whole), "--output", str(tmp_path), "--format", "svg"]) == 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'id="plot-yaw_rate" role="figure" aria-label="Yaw rate over time. yaw rate from' in text
+    assert (tmp_path / "report_yaw_rate.svg").exists()
+
+
+def test_exported_time_series_are_those_of_the_drive(whole: Path, tmp_path: Path) -> None:
+    assert main([str(whole), "--output", str(tmp_path / "my.html"), "--format", "csv"]) == 0
+    drive = judged(whole)
+    with (tmp_path / "my.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 120
+
+    def column(head: str) -> list[float]:
+        return [float(row[head] or "nan") for row in rows]
+
+    np.testing.assert_allclose(column("time [s]"), drive.record.time)
+    np.testing.assert_allclose(column("yaw_rate [rad/s]"), drive.states[:, 5], rtol=1e-8)
+    np.testing.assert_allclose(column("cross_track_error [m]"), drive.errors[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(column("steering_command [rad]"), drive.record.steering, rtol=1e-8)
+    rungs = drive.record.tick["rung"][:, 1]
+    np.testing.assert_array_equal(column("tick/rung"), rungs)
+    assert "tick/solve_time [s]" in rows[0]
+    assert not list(tmp_path.glob("*.svg"))
+
+
+def test_sampled_values_hold_until_the_next_sample() -> None:
+    rows = np.array([[1.0, 10.0], [2.0, 20.0]])
+    found = export.latest(rows, np.array([0.5, 1.0, 1.9, 2.0, 9.0]))
+    np.testing.assert_array_equal(found, [np.nan, 10.0, 10.0, 20.0, 20.0])
+
+
+def test_charts_of_several_drives_are_exported(whole: Path, tmp_path: Path) -> None:
+    other = write_bag(tmp_path / "other" / "bag", {"": drive_messages(CIRCLE)})
+    arguments = [str(whole), str(other), "--output", str(tmp_path), "--format", "csv", "svg", "pdf"]
+    assert main(arguments) == 0
+    assert {file.name for file in tmp_path.glob("*.csv")} == {
+        f"report_{whole.parent.name}.csv",
+        "report_other.csv",
+    }
+    pdf = (tmp_path / "report.pdf").read_bytes()
+    charts = {file.stem for file in tmp_path.glob("*.svg")}
+    assert {"report_map", "report_steering", "report_events", "report_solve_time"} <= charts
+    assert pdf.startswith(b"%PDF")
+    assert pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page ") == len(charts)
+    text = (tmp_path / "report_events.svg").read_text(encoding="utf-8")
+    assert text.count("<path") > 5

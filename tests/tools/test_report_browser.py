@@ -1,4 +1,4 @@
-"""The report's page in a browser: it plays, listens to keys, and asks nobody for anything."""
+"""Report page in a browser: playing, keys, zoom, and no network access."""
 
 import shutil
 from collections.abc import Iterator
@@ -16,13 +16,13 @@ OPTIONS = (
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 PATIENCE = 60_000
-"""For the page to be drawn [ms]."""
+"""Longest time to draw the page [ms]."""
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
 
 
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of two bags: of one the end is faulty, the other is shorter."""
+    """Write the page of two bags: one with faults at its end, and a shorter one."""
     folder = tmp_path_factory.mktemp("pages")
     bags = [make_bag(folder / "one" / "bag", 0.2, 590.0), make_bag(folder / "two" / "bag", 0.1)]
     assert main([*map(str, bags), "--output", str(folder)]) == 0
@@ -31,7 +31,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """The system's chromium."""
+    """Start the chromium of the system."""
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
         started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
@@ -41,13 +41,13 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def said() -> list[str]:
-    """What the page complained about, and what it asked for."""
+    """Return the list of console messages, errors and requests of the page."""
     return []
 
 
 @pytest.fixture
 def page(browser: Any, page_file: Path, said: list[str]) -> Iterator[Any]:
-    """The page, drawn, without a network; afterwards nothing may have been said."""
+    """Open the page offline; afterwards check that it logged and requested nothing."""
     context = browser.new_context(offline=True, viewport={"width": 1100, "height": 800})
     opened = context.new_page()
     opened.on("console", lambda message: said.append(f"console: {message.text}"))
@@ -61,7 +61,7 @@ def page(browser: Any, page_file: Path, said: list[str]) -> Iterator[Any]:
 
 
 def car(page: Any, name: str = "map") -> list[float]:
-    """Where the first car's marker is."""
+    """Return the position of the first car's marker."""
     script = """name => { const marker = report.drives[0].trace + 2;
                 const trace = document.getElementById(name).data[marker];
                 return [trace.x[0], trace.y[0]]; }"""
@@ -70,12 +70,12 @@ def car(page: Any, name: str = "map") -> list[float]:
 
 
 def clock(page: Any) -> float:
-    """What the page shows as time [s]."""
+    """Return the displayed time [s]."""
     return float(page.text_content("#clock").split()[0])
 
 
 def settle(page: Any) -> None:
-    """Wait until the cars are where the slider says."""
+    """Wait until the cars are at the time of the slider."""
     page.wait_for_function("!drawing")
 
 

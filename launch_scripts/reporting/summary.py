@@ -1,4 +1,4 @@
-"""Thresholds of a report and their verdicts."""
+"""Summary of a report: its metrics, thresholds and verdicts."""
 
 import math
 from collections.abc import Mapping
