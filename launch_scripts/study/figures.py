@@ -25,7 +25,7 @@ from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 from launch_scripts.study.measurements import LOOK_AHEAD_DISTANCES
 from launch_scripts.study.pso_methods import GENERATIONS, METHOD_STYLES, REPORTED
 
-PANELS = {
+SCENARIO_PANELS = {
     "equal": ("Y [m]", 0.55),
     "place": ("Y [m], stretched", 1.7),
     "error": ("cross-track error [m]", 1.7),
@@ -75,7 +75,7 @@ def draw_scenario(driven: Mapping[str, SimulatedDrive]) -> Figure:
     """Draw a scenario: path, error, steering, yaw rate, speed, and wind if there is any."""
     shown = {name: d for name, d in driven.items() if name in CONTROLLER_STYLES}
     first = next(iter(shown.values()))
-    panels = PANELS | ({"wind": ("side wind [m/s]", 1.0)} if first.scenario.wind else {})
+    panels = SCENARIO_PANELS | ({"wind": ("side wind [m/s]", 1.0)} if first.scenario.wind else {})
     figure, rows = stack([height for _, height in panels.values()])
     axes = dict(zip(panels, rows, strict=True))
     for name, (label, _) in panels.items():
