@@ -1,8 +1,8 @@
-"""Reproduce the paper: every figure and table that its text describes, in one page.
+"""Reproduce the paper: every figure and table that its text describes, on one page.
 
 `python launch_scripts/reproduce.py` writes `page.html`, which needs no network, and `results.json`.
-`--quick` for a first look; `--reading authors_code` or `--switch tyre=authors_code` for what the
-authors' released code does instead of the paper.
+Use `--quick` for a short run, `--reading authors_code` or `--switch tyre=authors_code` for the
+choices of the authors' released code.
 """
 
 import argparse
@@ -12,34 +12,31 @@ import platform
 import shlex
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
 from launch_scripts.reporting.style import save_png, svg
 from launch_scripts.run.json_values import to_json
-from launch_scripts.run.simulated import SimulatedDrive
-from launch_scripts.study.cases import SHORT, SWITCHES, Authors
-from launch_scripts.study.claims import DIRECTION, NO, PAPER, YES, claims
-from launch_scripts.study.figures import draw_adaptation, draw_lines, draw_sphere
-from launch_scripts.study.measure import Plan, measure, quick, steps
-from launch_scripts.study.page import page
-from launch_scripts.study.road_figure import draw_road
-from launch_scripts.study.search import DISTANCES
+from launch_scripts.run.machine import cpu_model
+from launch_scripts.study.claims import conclusions
+from launch_scripts.study.drives import STUDY_SWITCHES, Switches
+from launch_scripts.study.figures import draw_figures
+from launch_scripts.study.measurements import StudyPlan, count_steps, measure_study, quick_plan
+from launch_scripts.study.page import study_page
 
 PICTURES = ("sc2", "sweep", "sphere")
-"""Figures that the documentation shows."""
+"""Figures of the documentation."""
 READINGS = ("paper", "authors_code")
 
 
-def options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -47,13 +44,15 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--output", type=Path, default=Path("runs/reproduce"), help="folder to write"
     )
-    parser.add_argument("--reading", choices=READINGS, default="paper", help="of all differences")
+    parser.add_argument(
+        "--reading", choices=READINGS, default="paper", help="source of all choices"
+    )
     parser.add_argument(
         "--switch",
         action="append",
         default=[],
         metavar="NAME=READING",
-        help=f"of one difference, NAME: {', '.join(SWITCHES)}",
+        help=f"source of one choice, NAME: {', '.join(STUDY_SWITCHES)}",
     )
     parser.add_argument("--quick", action="store_true", help="two roads and a tiny search")
     parser.add_argument("--pictures", type=Path, help="folder for PNG files of some figures")
@@ -66,136 +65,64 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
         if folder is not None and folder.exists() and not folder.is_dir():
             parser.error(f"--{name} {folder} is a file, must be a folder")
     try:
-        chosen.authors = switched(chosen.reading, chosen.switch)
+        switches = read_switches(chosen.reading, chosen.switch)
     except ValueError as error:
         parser.error(str(error))
+    chosen.plan = quick_plan(switches) if chosen.quick else StudyPlan(switches)
+    if chosen.sphere_seeds:
+        chosen.plan = chosen.plan._replace(sphere_seeds=chosen.sphere_seeds)
     return chosen
 
 
-def switched(reading: str, switches: Sequence[str]) -> Authors:
-    """Give the differences that are taken from the authors' code.
+def read_switches(reading: str, assignments: Sequence[str]) -> Switches:
+    """Return the switches that are set to the authors' code.
 
     Raises:
-        ValueError: Names a switch that is unknown, or the choice that it does not have.
+        ValueError: Names an unknown switch or an unknown reading.
     """
-    names = set(SWITCHES) if reading == "authors_code" else set()
-    for item in switches:
+    names = set(STUDY_SWITCHES) if reading == "authors_code" else set()
+    for item in assignments:
         name, _, choice = item.partition("=")
-        if name not in SWITCHES:
-            raise ValueError(f"--switch {item}: {name!r} must be one of {', '.join(SWITCHES)}")
+        if name not in STUDY_SWITCHES:
+            raise ValueError(
+                f"--switch {item}: {name!r} must be one of {', '.join(STUDY_SWITCHES)}"
+            )
         if choice not in READINGS:
             raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(READINGS)}")
         (names.add if choice == "authors_code" else names.discard)(name)
     return frozenset(names)
 
 
-def plan_of(chosen: argparse.Namespace) -> Plan:
-    """Give how much is measured."""
-    plan = quick(chosen.authors) if chosen.quick else Plan(chosen.authors)
-    return plan._replace(sphere_seeds=chosen.sphere_seeds or plan.sphere_seeds)
-
-
-def processor() -> str:
-    """Name the processor, where the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
-
-
-def meta(plan: Plan, arguments: Sequence[str]) -> dict[str, Any]:
-    """Give what is needed to repeat the run."""
+def run_description(chosen: argparse.Namespace, words: Sequence[str]) -> dict[str, Any]:
+    """Return all that is needed to repeat the run."""
     packages = ("numpy", "numba", "scipy", "matplotlib")
+    plan: StudyPlan = chosen.plan
     return {
-        "command": f"python launch_scripts/reproduce.py {shlex.join(arguments)}".strip(),
-        "authors_code": sorted(plan.authors),
-        "quick": plan == quick(plan.authors)._replace(sphere_seeds=plan.sphere_seeds),
+        "command": f"python launch_scripts/reproduce.py {shlex.join(words)}".strip(),
+        "authors_code": sorted(plan.switches),
+        "quick": chosen.quick,
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "seeds": f"gains {plan.tuning_seeds}, swarms 0 to {plan.sphere_seeds - 1}",
         "version": f"AMPC for ROS 2 {__version__}",
-        "machine": f"{processor()}, {os.cpu_count()} cores, {platform.system()}",
+        "machine": f"{cpu_model()}, {os.cpu_count()} cores, {platform.system()}",
         "Python": platform.python_version(),
         "packages": ", ".join(f"{name} {version(name)}" for name in packages),
     }
 
 
-def judged(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Give the verdicts on the paper's claims, and where pure pursuit beats its controller."""
-    found = [claim._asdict() for claim in claims(dict(results))]
-    better = {
-        road: row["pure_pursuit"]["mse_m2"] < row["paper"]["mse_m2"]
-        for road, row in results["roads"].items()
-    }
-    held = ("paper", "paper_pso", "paper_one", "classic", "classic_pso")
-    gain = [
-        min(row[name]["mse_m2"] for name in held if name in row) / row["preview"]["mse_m2"]
-        for row in results["roads"].values()
-    ]
-    return {
-        "paper": PAPER,
-        "preview_gain": [min(gain), max(gain)],
-        "claims": found,
-        "verdicts": {v: sum(c["verdict"] == v for c in found) for v in (YES, DIRECTION, NO)},
-        "pure_pursuit_beats_ampc": {
-            "on": [road for road, wins in better.items() if wins],
-            "not_on": [road for road, wins in better.items() if not wins],
-        },
-    }
-
-
-def draw(
-    results: Mapping[str, Any], runs: Mapping[str, Mapping[str, SimulatedDrive]]
-) -> dict[str, Figure]:
-    """Draw all figures."""
-    figures = {road: draw_road(row) for road, row in runs.items()}
-    figures["adaptation"] = draw_adaptation(runs.get("sc3_varying") or runs["sc2"])
-    shown = ("proposed", "linear", "damped", "classic", "Zhan's adaptive")
-    figures["sphere"] = draw_sphere({n: results["sphere"]["curves"][n] for n in shown})
-    histories = {
-        f"{t['model']}, seed {t['seed']}": (list(range(len(t["history_m2"]))), t["history_m2"])
-        for t in results["tuning"]
-        if t["used"]
-    }
-    figures["tuning"] = draw_lines(histories, ("generation", "best fitness [m\u00b2]"))
-    trials = results["look_ahead"]["trials"]
-    figures["look_ahead"] = draw_lines(
-        {
-            f"at least {d:g} m": (
-                [t["time_s"] for t in trials if t["distance_m"] == d],
-                [t["fitness_m2"] for t in trials if t["distance_m"] == d],
-            )
-            for d in DISTANCES
-        },
-        ("look-ahead time [s]", "mean MSE [m\u00b2]"),
-    )
-    rows = results["sweep"]
-    figures["sweep"] = draw_lines(
-        {
-            SHORT[road]: ([r["R"] for r in rows], [r["mse_m2"][road] for r in rows])
-            for road in rows[0]["mse_m2"]
-        },
-        ("increment weight R", "MSE [m\u00b2]"),
-        {"paper's AMPC": PAPER["sc1"]["paper"], "paper's classic": PAPER["sc1"]["classic"]},
-        log_x=True,
-    )
-    return figures
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, judge, draw, write."""
-    chosen, console, begin = options(arguments), Console(highlight=False), time.monotonic()
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    plan = plan_of(chosen)
+    """Measure, check the claims, draw and write."""
+    chosen, console, begin = parse_arguments(arguments), Console(highlight=False), time.monotonic()
     with Progress(console=console) as progress:
-        task = progress.add_task("reproducing", total=steps(plan))
-        results, runs = measure(plan, lambda: progress.advance(task))
-    results |= {"meta": meta(plan, given), **judged(results)}
-    figures = draw(results, runs)
+        task = progress.add_task("reproducing", total=count_steps(chosen.plan))
+        results, driven = measure_study(chosen.plan, lambda: progress.advance(task))
+    words = sys.argv[1:] if arguments is None else arguments
+    results |= {"meta": run_description(chosen, words), **conclusions(results)}
+    figures = draw_figures(results, driven)
     results["duration_s"] = round(time.monotonic() - begin, 1)
+    # page, pictures of the documentation, results
     chosen.output.mkdir(parents=True, exist_ok=True)
-    text = page(results, {name: svg(figure) for name, figure in figures.items()})
+    text = study_page(results, {name: svg(figure) for name, figure in figures.items()})
     (chosen.output / "page.html").write_text(text, encoding="utf-8")
     if chosen.pictures:
         chosen.pictures.mkdir(parents=True, exist_ok=True)

@@ -1,62 +1,190 @@
-"""Figures of the reproduction, as SVG text: labelled at the lines, legible on a phone."""
+"""Figures of the reproduction: scenarios, adaptation, swarms, searches and sweeps."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ampc_msgs_config.metrics import ticks
+from ampc_msgs_config.metrics import LOST, ticks
+from ampc_msgs_config.scenarios.scenario import speed_at
+from ampc_msgs_config.scenarios.wind import wind_at
 from ampc_msgs_config.types import Array
-from launch_scripts.reporting.style import CONTROLLER_STYLES, INK, label_ends, stack
-from launch_scripts.run.simulated import SimulatedDrive
-from launch_scripts.study.bench_pso_figure import STYLES
-from launch_scripts.study.bench_pso_tables import REPORTED
-from launch_scripts.study.cases import CONTENDERS
-from launch_scripts.study.pso_yardsticks import GENERATIONS
+from launch_scripts.reporting.style import (
+    CONTROLLER_STYLES,
+    INK,
+    REFERENCE_STYLE,
+    label_ends,
+    stack,
+)
+from launch_scripts.run.simulated import SimulatedDrive, centre_of_gravity, ticks_until_lost
+from launch_scripts.study.claims import PAPER_MSE
+from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
+from launch_scripts.study.measurements import LOOK_AHEAD_DISTANCES
+from launch_scripts.study.pso_methods import GENERATIONS, METHOD_STYLES, REPORTED
+
+SCENARIO_PANELS = {
+    "equal": ("Y [m]", 0.55),
+    "place": ("Y [m], stretched", 1.7),
+    "error": ("cross-track error [m]", 1.7),
+    "steering": ("steering [deg]", 1.5),
+    "yaw_rate": ("yaw rate [deg/s]", 1.5),
+    "speed": ("speed [m/s]", 1.2),
+}
+"""Panels of a scenario: label of the ordinate, height [inch]."""
+SCALED_PANELS = ("error", "steering", "yaw_rate")
+"""Panels whose range is that of the drives that stay on the path."""
+SHOWN_SWARMS = ("proposed", "linear", "damped", "classic", "Zhan's adaptive")
+CURVE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
 
 
-def draw_adaptation(runs: Mapping[str, SimulatedDrive]) -> Figure:
-    """Draw which gains were in use: horizons and terms, then Q / R."""
+def draw_figures(
+    results: Mapping[str, Any], driven: Mapping[str, Mapping[str, SimulatedDrive]]
+) -> dict[str, Figure]:
+    """Draw all figures of the page, by name."""
+    searches = {
+        f"{t['model']}, seed {t['seed']}": (list(range(len(t["history_m2"]))), t["history_m2"])
+        for t in results["tuning"]
+        if t["used"]
+    }
+    trials, sweep = results["look_ahead"]["trials"], results["sweep"]
+    look_ahead = {}
+    for distance in LOOK_AHEAD_DISTANCES:
+        own = [t for t in trials if t["distance_m"] == distance]
+        curve = [t["time_s"] for t in own], [t["fitness_m2"] for t in own]
+        look_ahead[f"at least {distance:g} m"] = curve
+    weights = {
+        STUDY_ROADS[road]: ([row["R"] for row in sweep], [row["mse_m2"][road] for row in sweep])
+        for road in sweep[0]["mse_m2"]
+    }
+    sc1 = PAPER_MSE["sc1"]
+    levels = {"paper's AMPC": sc1["paper"], "paper's classic": sc1["classic"]}
+    return {
+        **{road: draw_scenario(row) for road, row in driven.items()},
+        "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"]),
+        "sphere": draw_sphere({name: results["sphere"]["curves"][name] for name in SHOWN_SWARMS}),
+        "tuning": draw_curves(searches, "generation", "best fitness [m\u00b2]"),
+        "look_ahead": draw_curves(look_ahead, "look-ahead time [s]", "mean MSE [m\u00b2]"),
+        "sweep": draw_curves(weights, "increment weight R", "MSE [m\u00b2]", levels),
+    }
+
+
+def draw_scenario(driven: Mapping[str, SimulatedDrive]) -> Figure:
+    """Draw a scenario: path, error, steering, yaw rate, speed, and wind if there is any."""
+    shown = {name: d for name, d in driven.items() if name in CONTROLLER_STYLES}
+    first = next(iter(shown.values()))
+    panels = SCENARIO_PANELS | ({"wind": ("side wind [m/s]", 1.0)} if first.scenario.wind else {})
+    figure, rows = stack([height for _, height in panels.values()])
+    axes = dict(zip(panels, rows, strict=True))
+    for name, (label, _) in panels.items():
+        axes[name].set_ylabel(label)
+    # reference path, target speed and wind
+    end = max(float(centre_of_gravity(d)[0].max()) for d in shown.values())
+    seen, time = first.path.x <= end, ticks(first.drive)
+    for name in ("equal", "place"):
+        axes[name].plot(first.path.x[seen], first.path.y[seen], zorder=0, **REFERENCE_STYLE)
+    target = [speed_at(first.scenario.speed, float(t)) for t in time]
+    axes["speed"].plot(time, target, zorder=0, **REFERENCE_STYLE)
+    if first.scenario.wind:
+        axes["wind"].plot(time, wind_at(first.scenario.wind, time)[:, 1], color=INK)
+    # drives until they are lost
+    curves = {name: panel_curves(d) for name, d in shown.items()}
+    stayed = [name for name, d in shown.items() if ticks_until_lost(d) == len(d.error)]
+    for name in shown:
+        plot_drive(axes, name, curves[name], lost=name not in stayed)
+    # ranges
+    y = first.path.y
+    axes["equal"].set_aspect("equal", adjustable="datalim")
+    axes["equal"].set_title("true proportions", fontsize=8, loc="left")
+    axes["place"].set_ylim(float(y.min()) - 3.0, float(y.max()) + 3.0)
+    axes["place"].set_xlabel("X [m]")
+    for panel in SCALED_PANELS:
+        most = max((float(np.abs(curves[name][panel][1]).max()) for name in stayed), default=LOST)
+        axes[panel].set_ylim(-1.15 * most, 1.15 * most)
+    axes["speed"].set_ylim(0.0, None)
+    rows[-1].set_xlabel("time [s]")
+    # labels at the line ends
+    figure.draw_without_rendering()
+    for panel in ("place", *SCALED_PANELS):
+        named = stayed if panel in SCALED_PANELS else list(shown)
+        label_contenders(axes[panel], {name: curves[name][panel][1][-1] for name in named})
+    return figure
+
+
+def panel_curves(driven: SimulatedDrive) -> dict[str, tuple[Array, Array]]:
+    """Return abscissa and ordinate of a drive by panel, until the car is lost."""
+    n, time = ticks_until_lost(driven), ticks(driven.drive)
+    state = np.array([s[1:] for s in driven.drive.states])
+    x, y = centre_of_gravity(driven)
+    curves = {
+        "place": (x, y),
+        "error": (time, driven.error),
+        "steering": (time, np.degrees(driven.drive.steering)),
+        "yaw_rate": (time, np.degrees(state[:, 5])),
+        "speed": (time, state[:, 3]),
+    }
+    return {panel: (a[:n], b[:n]) for panel, (a, b) in curves.items()}
+
+
+def plot_drive(
+    axes: Mapping[str, Axes], name: str, curves: Mapping[str, tuple[Array, Array]], lost: bool
+) -> None:
+    """Plot a drive into all panels; a cross marks where the car is lost."""
+    color, line = CONTROLLER_STYLES[name]
+    width = 0.6 if lost else 2.4 if name == "paper" else 1.3
+    for panel, (a, b) in curves.items():
+        style: dict[str, Any] = {"linewidth": width if panel in SCALED_PANELS else 1.3}
+        axes[panel].plot(a, b, linestyle=line, color=color, **style)
+        if lost:
+            axes[panel].plot(a[-1], b[-1], "x", color=color, markersize=8, mew=2)
+    axes["equal"].plot(*curves["place"], linewidth=0.9, linestyle=line, color=color)
+
+
+def label_contenders(ax: Axes, ends: Mapping[str, float]) -> None:
+    """Label the lines of contenders at their right ends."""
+    colors = {CONTENDERS[name]: CONTROLLER_STYLES[name][0] for name in ends}
+    label_ends(ax, {CONTENDERS[name]: float(end) for name, end in ends.items()}, colors)
+
+
+def draw_adaptation(driven: Mapping[str, SimulatedDrive]) -> Figure:
+    """Draw the gains in use over time: horizons, Laguerre terms, Q / R."""
     figure, axes = stack([1.5, 1.3, 1.3, 1.5])
-    fields = (
-        ("prediction_horizon", "N_p [ticks]"),
-        ("control_horizon", "N_c [ticks]"),
-        ("laguerre_terms", "N"),
-    )
-    shown = {n: d for n, d in runs.items() if n in ("paper", "paper_pso", "preview")}
-    last: dict[str, dict[str, float]] = {label: {} for label in ("N_p", "N_c", "N", "ratio")}
-    for name, driven in shown.items():
+    names = [name for name in ("paper", "paper_pso", "preview") if name in driven]
+    ends: list[dict[str, float]] = [{} for _ in axes]
+    for name in names:
+        diagnosis, time = driven[name].diagnosis, ticks(driven[name].drive)
         color, line = CONTROLLER_STYLES[name]
-        time = ticks(driven.drive)
-        for ax, (field, label) in zip(axes, fields, strict=False):
-            values = np.array([getattr(d, field) for d in driven.diagnosis])
-            ax.plot(time, values, linestyle=line, color=color, drawstyle="steps-post")
-            ax.set_ylabel(label)
-            last[label.split()[0]][CONTENDERS[name]] = float(values[-1])
-        ratio = np.array([d.output_weight / d.increment_weight for d in driven.diagnosis])
-        axes[3].plot(time, ratio, linestyle=line, color=color)
-        last["ratio"][CONTENDERS[name]] = float(ratio[-1])
-    axes[3].set_yscale("log")
-    axes[3].set_ylabel("Q / R")
-    axes[3].set_xlabel("time [s]")
+        values = (
+            [d.prediction_horizon for d in diagnosis],
+            [d.control_horizon for d in diagnosis],
+            [d.laguerre_terms for d in diagnosis],
+            [d.output_weight / d.increment_weight for d in diagnosis],
+        )
+        for ax, row, last in zip(axes, values, ends, strict=True):
+            steps = "default" if ax is axes[3] else "steps-post"
+            ax.plot(time, row, linestyle=line, color=color, drawstyle=steps)
+            last[name] = row[-1]
+    for ax, label in zip(axes, ("N_p [ticks]", "N_c [ticks]", "N", "Q / R"), strict=True):
+        ax.set_ylabel(label)
     for ax in axes[:3]:
         ax.set_ylim(0, None)
+    axes[3].set_yscale("log")
+    axes[3].set_xlabel("time [s]")
     figure.draw_without_rendering()
-    colors = {CONTENDERS[name]: CONTROLLER_STYLES[name][0] for name in shown}
-    for ax, ends in zip(axes, last.values(), strict=True):
-        label_ends(ax, ends, colors)
+    for ax, last in zip(axes, ends, strict=True):
+        label_contenders(ax, last)
     return figure
 
 
 def draw_sphere(curves: Mapping[str, Array]) -> Figure:
-    """Draw medians and quartiles of the best value over the generations, and the paper's."""
+    """Draw median and quartiles of the best value over the generations, and the paper's values."""
     figure, (ax,) = stack([3.4])
     ax.set_yscale("log")
     ends = {}
     for name, values in curves.items():
-        color, line = STYLES[name]
+        color, line = METHOD_STYLES[name]
         low, middle, high = np.percentile(values, (25, 50, 75), axis=0)
         generation = np.arange(len(middle))
         ax.fill_between(generation, low, high, color=color, alpha=0.15, linewidth=0)
@@ -68,33 +196,39 @@ def draw_sphere(curves: Mapping[str, Array]) -> Figure:
     ax.set_xlabel("generation")
     ax.set_ylabel("best value so far")
     figure.draw_without_rendering()
-    label_ends(ax, ends, {name: STYLES[name][0] for name in curves})
+    label_ends(ax, ends, {name: METHOD_STYLES[name][0] for name in curves})
     return figure
 
 
-def draw_lines(
+def draw_curves(
     curves: Mapping[str, tuple[Sequence[float], Sequence[float]]],
-    labels: tuple[str, str],
+    abscissa: str,
+    ordinate: str,
     levels: Mapping[str, float] | None = None,
-    log_x: bool = False,
 ) -> Figure:
-    """Draw some labelled curves on a logarithmic axis, and levels to compare them with."""
+    """Draw labelled curves on a logarithmic ordinate.
+
+    Args:
+        curves: Abscissa and ordinate by name.
+        abscissa: Label of the axis.
+        ordinate: Label of the axis.
+        levels: Horizontal lines to compare with, by name; with them the abscissa is logarithmic.
+    """
+    levels = levels or {}
     figure, (ax,) = stack([2.6])
-    palette = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00")
-    colors = dict(zip((*curves, *(levels or {})), palette * 2, strict=False))
+    colors = dict(zip((*curves, *levels), CURVE_COLORS * 2, strict=False))
     ax.set_yscale("log")
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
-    if log_x:
+    if levels:
         ax.set_xscale("log")
     for name, (a, b) in curves.items():
         ax.plot(a, b, ".-", color=colors[name])
-    for name, level in (levels or {}).items():
+    for name, level in levels.items():
         ax.axhline(level, color=colors[name], linestyle=":", linewidth=1.3)
-    ax.set_xlabel(labels[0])
-    ax.set_ylabel(labels[1])
+    ax.set_xlabel(abscissa)
+    ax.set_ylabel(ordinate)
     figure.draw_without_rendering()
-    ends = {name: float(b[-1]) for name, (_, b) in curves.items()} | dict(levels or {})
-    label_ends(ax, ends, colors)
+    label_ends(ax, {name: float(b[-1]) for name, (_, b) in curves.items()} | dict(levels), colors)
     return figure

@@ -15,7 +15,7 @@ from ampc_msgs_config.config import read_text
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import search as search_with_swarm
-from ampc_ros.pso.swarm import Swarm, from_json, to_json
+from ampc_ros.pso.swarm import Swarm, swarm_from_json, swarm_to_json
 from launch_scripts.tuning.task import Search, dimensions
 from launch_scripts.tuning.workers import Workers
 
@@ -93,7 +93,7 @@ class Checkpoints:
 
     def save(self, name: str, swarm: Swarm) -> None:
         """Write the last generation of a search."""
-        write_atomically(self.folder / f"{name}.json", json.dumps(to_json(swarm)) + "\n")
+        write_atomically(self.folder / f"{name}.json", json.dumps(swarm_to_json(swarm)) + "\n")
 
     def load(self, name: str) -> Swarm | None:
         """Read the last generation of a search, None without a checkpoint.
@@ -105,7 +105,7 @@ class Checkpoints:
         if saved is None:
             return None
         try:
-            return from_json(saved)
+            return swarm_from_json(saved)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{self.folder / name}.json: not a checkpoint: {error}") from error
 

@@ -19,7 +19,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import check_range, number
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
-from ampc_ros.pso.settings import Dimension, PsoSettings, space
+from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import Node, fitness, gains_of_row
 from sim_vehicle.parameters import load_vehicle
@@ -240,8 +240,8 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
             check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
         check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
     ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
-    space([Dimension(*bound) for bound in ends])
-    space(dimensions(SearchSpace(ends, fixed)))
+    swarm_space([Dimension(*bound) for bound in ends])
+    swarm_space(dimensions(SearchSpace(ends, fixed)))
     return SearchSpace(ends, fixed)
 
 
@@ -338,7 +338,7 @@ def describe_task(task: TuningTask) -> dict[str, Any]:
         "lateral_reference": list(task.references),
         "bounds": {symbol: [low, high] for symbol, low, high in task.space.bounds},
         "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
-        "swarm": task.settings.variant,
+        "swarm": "proposed",
         "particles": task.settings.particles,
         "generations": task.settings.generations,
         "seeds": list(task.seeds),

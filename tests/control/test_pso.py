@@ -1,4 +1,4 @@
-"""Particle swarms: Eqs. (31)-(34), bounds, failures of the cost, and bits that never differ."""
+"""Particle swarms: Eqs. (31)-(34), bounds, boundary rules, integer dimensions."""
 
 import math
 from functools import partial
@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import Minimum, minimize, search
-from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
-from ampc_ros.pso.swarm import Swarm
-from ampc_ros.pso.weights import scheduled
+from ampc_ros.pso.swarm import Dimension, PsoSettings, Swarm
+from launch_scripts.study.pso_variants import VARIANTS, VariantSettings
 
 PLANE = (Dimension("x", -10.0, 10.0), Dimension("y", -4.0, 6.0))
 MIXED = (Dimension("N_p", 1, 55, integer=True), Dimension("R", 0.001, 0.1))
@@ -21,21 +20,18 @@ UNCLAMPED = math.inf
 
 
 def sphere(position: Array) -> float:
-    """Distance from the origin, squared."""
+    """Return the squared distance from the origin."""
     return float(np.square(position).sum())
 
 
-def found(
-    variant: str = "proposed", *, seed: int = 1, cost: Any = sphere, **chosen: Any
-) -> Minimum:
-    """Minimise on PLANE."""
-    return minimize(
-        cost, PLANE, PsoSettings(variant=variant, **chosen), np.random.default_rng(seed)
-    )
+def minimize_on_plane(variant: str, **chosen: Any) -> Minimum:
+    """Minimise the sphere function on PLANE."""
+    chosen_settings = VariantSettings(variant=variant, **chosen)
+    return minimize(sphere, PLANE, chosen_settings, np.random.default_rng(1))
 
 
-def given_swarm(position: Array, velocity: Array, best: Array, cost: Any) -> Swarm:
-    """Give a swarm of two particles in the middle of a search."""
+def swarm_of_two(position: Array, velocity: Array, best: Array, cost: Any) -> Swarm:
+    """Return a swarm of two particles in the middle of a search."""
     fitness = np.array([cost(x) for x in best])
     start = next(search(cost, PLANE, PsoSettings(particles=2), np.random.default_rng(5)))
     return start._replace(
@@ -49,8 +45,8 @@ def given_swarm(position: Array, velocity: Array, best: Array, cost: Any) -> Swa
 def test_particles_move_as_equation_31_says() -> None:
     x, v = np.array([[3.0, 1.0], [-2.0, 5.0]]), np.array([[0.5, -0.25], [0.0, 1.0]])
     best = np.array([[2.0, 1.0], [-1.0, 0.5]])
-    swarm = given_swarm(x, v, best, sphere)
-    chosen = PsoSettings(
+    swarm = swarm_of_two(x, v, best, sphere)
+    chosen = VariantSettings(
         variant="classic",
         particles=2,
         generations=1,
@@ -72,7 +68,7 @@ def test_particles_move_as_equation_31_says() -> None:
 
 def test_inertia_follows_equations_32_and_33() -> None:
     def inertia(variant: str, g: int) -> float:
-        return scheduled(PsoSettings(variant=variant, schedule_length=100), g).inertia
+        return VariantSettings(variant=variant, schedule_length=100).weights(g).inertia
 
     assert inertia("linear", 0) == 0.99
     assert inertia("linear", 50) == pytest.approx(0.545)
@@ -87,15 +83,17 @@ def test_inertia_follows_equations_32_and_33() -> None:
     ("g", "c_1"), [(0, 2.0), (20, 3.0), (35, 3.3), (75, 1.9), (100, 1.8625), (200, 1.7125)]
 )
 def test_accelerations_follow_equation_34_and_keep_their_sum(g: int, c_1: float) -> None:
-    _, cognitive, social = scheduled(PsoSettings(schedule_length=100), g)
+    _, cognitive, social = PsoSettings(generations=100).weights(g)
     assert cognitive == pytest.approx(c_1)
     assert cognitive + social == pytest.approx(4.0)
 
 
 def test_the_authors_code_stays_in_the_branch_that_its_number_of_particles_picks() -> None:
     def cognitive(particles: int, length: int) -> float:
-        sizes = PsoSettings(variant="authors_code", particles=particles, schedule_length=length)
-        return scheduled(sizes, 10).cognitive
+        chosen = VariantSettings(
+            variant="authors_code", particles=particles, schedule_length=length
+        )
+        return chosen.weights(10).cognitive
 
     assert cognitive(10, 5) == pytest.approx(2 - 10 * 0.0015)
     assert cognitive(20, 100) == pytest.approx(2 + 10 * 0.05)
@@ -103,7 +101,7 @@ def test_the_authors_code_stays_in_the_branch_that_its_number_of_particles_picks
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_best_fitness_never_rises_and_belongs_to_the_position(variant: str) -> None:
-    best = found(variant, generations=30)
+    best = minimize_on_plane(variant, generations=30)
     assert np.all(np.diff(best.history) <= 0)
     assert best.history[-1] == best.fitness == sphere(best.position)
     assert best.fitness < best.history[0]
@@ -121,7 +119,7 @@ def test_no_particle_leaves_its_bounds_or_exceeds_its_speed(
     variant: str, boundary: str, clamp: float, seed: int
 ) -> None:
     corner = partial(sphere_about, np.array([-10.0, 6.0]))
-    chosen = PsoSettings(variant=variant, boundary=boundary, max_velocity=clamp, generations=8)
+    chosen = VariantSettings(variant=variant, boundary=boundary, max_velocity=clamp, generations=8)
     low, high = np.array([-10.0, -4.0]), np.array([10.0, 6.0])
     for swarm in search(corner, PLANE, chosen, np.random.default_rng(seed)):
         assert np.all((low <= swarm.position) & (swarm.position <= high))
@@ -129,7 +127,7 @@ def test_no_particle_leaves_its_bounds_or_exceeds_its_speed(
 
 
 def sphere_about(centre: Array, position: Array) -> float:
-    """Squared distance from a point."""
+    """Return the squared distance from a point."""
     return sphere(position - centre)
 
 
@@ -137,12 +135,12 @@ def sphere_about(centre: Array, position: Array) -> float:
     ("boundary", "position", "velocity"),
     [("clip", 10.0, 3.0), ("absorb", 10.0, 0.0), ("reflect", 8.0, -3.0)],
 )
-def test_each_boundary_rule_treats_a_particle_that_leaves_in_its_way(
+def test_each_boundary_rule_treats_a_particle_that_leaves_as_documented(
     boundary: str, position: float, velocity: float
 ) -> None:
     x, v = np.array([[9.0, 0.0], [9.0, 0.0]]), np.array([[3.0, 0.0], [3.0, 0.0]])
-    swarm = given_swarm(x, v, x, sphere)
-    chosen = PsoSettings(
+    swarm = swarm_of_two(x, v, x, sphere)
+    chosen = VariantSettings(
         variant="classic",
         max_inertia=1.0,
         particles=2,
@@ -171,7 +169,7 @@ def test_the_cost_sees_the_nearest_whole_number_where_a_dimension_is_an_integer(
     assert best.position[0] == 7.0 != best.swarm.best_position[best.swarm.leader, 0]
 
 
-def test_an_equal_fitness_is_no_reason_to_leave_the_best_position() -> None:
+def test_an_equal_fitness_does_not_replace_the_best_position() -> None:
     first, *_, last = search(lambda _: 1.0, PLANE, PsoSettings(), np.random.default_rng(1))
     assert np.array_equal(last.best_position, first.position)
 
@@ -180,7 +178,7 @@ def test_the_variants_end_in_the_order_that_the_paper_claims_on_the_sphere() -> 
     space = tuple(Dimension(f"x{k}", -10.0, 10.0) for k in range(5))
 
     def median(variant: str) -> float:
-        chosen = PsoSettings(
+        chosen = VariantSettings(
             variant=variant, generations=41, schedule_length=100, max_velocity=UNCLAMPED
         )
         runs = (minimize(sphere, space, chosen, np.random.default_rng(s)) for s in range(15))

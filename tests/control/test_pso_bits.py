@@ -9,49 +9,49 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.types import Array
-from ampc_ros.pso.minimize import Map, at_once, minimize, search
-from ampc_ros.pso.settings import VARIANTS, Dimension, PsoSettings
-from ampc_ros.pso.swarm import Swarm, from_json, to_json
+from ampc_ros.pso.minimize import MapFunction, map_vectorized, minimize, search
+from ampc_ros.pso.swarm import Dimension, Swarm, swarm_from_json, swarm_to_json
+from launch_scripts.study.pso_variants import VARIANTS, VariantSettings
 
 PLANE = (Dimension("x", -10.0, 10.0), Dimension("y", -4.0, 6.0))
 UNCLAMPED = math.inf
 
 
 def sphere(position: Array) -> float:
-    """Distance from the origin, squared."""
+    """Return the squared distance from the origin."""
     return float(np.square(position).sum())
 
 
-def found(variant: str, *, seed: int = 1, map: Map = map) -> Swarm:
-    """Minimise on PLANE; gives the last generation."""
-    chosen = PsoSettings(variant=variant)
+def last_swarm(variant: str, *, seed: int = 1, map: MapFunction = map) -> Swarm:
+    """Return the last generation of a search on PLANE."""
+    chosen = VariantSettings(variant=variant)
     return minimize(sphere, PLANE, chosen, np.random.default_rng(seed), map).swarm
 
 
 def sphere_about(centre: Array, position: Array) -> float:
-    """Squared distance from a point."""
+    """Return the squared distance from a point."""
     return sphere(position - centre)
 
 
 def assert_same(one: Swarm, other: Swarm) -> None:
-    """Bit for bit."""
+    """Check that two swarms are equal bit for bit."""
     for name, left, right in zip(one._fields, one, other, strict=True):
         assert np.array_equal(left, right), name
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_serial_threads_processes_and_one_call_give_the_same_bits(variant: str) -> None:
-    alone = found(variant)
+    alone = last_swarm(variant)
     pools: tuple[Executor, ...] = (ThreadPoolExecutor(3), ProcessPoolExecutor(2))
     for pool in pools:
         with pool:
-            assert_same(alone, found(variant, map=pool.map))
+            assert_same(alone, last_swarm(variant, map=pool.map))
 
     def whole(positions: Array) -> list[float]:
         return [sphere(position) for position in positions]
 
-    chosen = PsoSettings(variant=variant)
-    called = minimize(whole, PLANE, chosen, np.random.default_rng(1), at_once)
+    chosen = VariantSettings(variant=variant)
+    called = minimize(whole, PLANE, chosen, np.random.default_rng(1), map_vectorized)
     assert_same(alone, called.swarm)
 
 
@@ -59,17 +59,18 @@ def test_serial_threads_processes_and_one_call_give_the_same_bits(variant: str) 
 def test_a_search_resumed_from_a_file_at_any_generation_ends_with_the_same_bits(
     variant: str,
 ) -> None:
-    chosen = PsoSettings(variant=variant)
+    chosen = VariantSettings(variant=variant)
     swarms = list(search(sphere, PLANE, chosen, np.random.default_rng(3)))
     for saved in swarms[::4]:
-        read = from_json(json.loads(json.dumps(to_json(saved), allow_nan=False)))
+        text = json.dumps(swarm_to_json(saved), allow_nan=False)
+        read = swarm_from_json(json.loads(text))
         assert_same(saved, read)
         end = minimize(sphere, PLANE, chosen, np.random.default_rng(99), resume=read)
         assert_same(swarms[-1], end.swarm)
 
 
 def test_another_seed_gives_another_search() -> None:
-    one, other = found("proposed", seed=1), found("proposed", seed=2)
+    one, other = last_swarm("proposed", seed=1), last_swarm("proposed", seed=2)
     assert one.history[-1] != other.history[-1]
 
 
@@ -77,7 +78,7 @@ def test_another_seed_gives_another_search() -> None:
 @pytest.mark.parametrize("variant", VARIANTS[:-1])
 def test_the_mirrored_problem_has_the_mirrored_search(variant: str, boundary: str) -> None:
     square = tuple(Dimension(name, -10.0, 10.0) for name in "xy")
-    chosen = PsoSettings(variant=variant, boundary=boundary, max_velocity=UNCLAMPED)
+    chosen = VariantSettings(variant=variant, boundary=boundary, max_velocity=UNCLAMPED)
     centre = np.array([9.0, -3.0])
     there, back = partial(sphere_about, centre), partial(sphere_about, -centre)
     swarms = list(search(there, square, chosen, np.random.default_rng(4)))
@@ -92,6 +93,6 @@ def test_the_mirrored_problem_has_the_mirrored_search(variant: str, boundary: st
 def test_the_unit_of_a_dimension_does_not_change_the_search(variant: str) -> None:
     stretched = (PLANE[0], Dimension("y", -4.0 * 1024, 6.0 * 1024))
     unit = np.array([1.0, 1024.0])
-    chosen, rng = PsoSettings(variant=variant), np.random.default_rng(1)
+    chosen, rng = VariantSettings(variant=variant), np.random.default_rng(1)
     best = minimize(lambda x: sphere(x / unit), stretched, chosen, rng)
-    assert np.array_equal(best.swarm.position, found(variant).position * unit)
+    assert np.array_equal(best.swarm.position, last_swarm(variant).position * unit)

@@ -1,4 +1,4 @@
-"""The particle swarm's benchmark is fair, and says where the proposed variant loses."""
+"""Benchmark of the particle swarm: equal budgets, and all losses of the proposed variant."""
 
 import json
 from pathlib import Path
@@ -9,35 +9,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ampc_msgs_config.types import Array
-from ampc_ros.pso.minimize import at_once, minimize
-from ampc_ros.pso.settings import Dimension
+from ampc_ros.pso.minimize import map_vectorized, minimize
+from ampc_ros.pso.swarm import Dimension
 from launch_scripts.reporting.style import spread
-from launch_scripts.study.bench_pso import content, main
-from launch_scripts.study.bench_pso_figure import GAP, draw_curves
-from launch_scripts.study.bench_pso_tables import READ, Readings, Runs, bars, losses, markdown
-from launch_scripts.study.pso_yardsticks import (
+from launch_scripts.study.bench_pso import (
+    Runs,
+    bench_markdown,
+    bench_results,
+    better_methods,
+    draw_methods,
+    main,
+)
+from launch_scripts.study.pso_methods import (
     BOUND,
     BUDGET,
     GENERATIONS,
     METHODS,
     PARTICLES,
     PROBLEMS,
+    READING_VARIANTS,
+    BenchmarkProblem,
     Cost,
-    Problem,
-    as_in_the_paper,
-    curve,
+    all_bars_hold,
+    comparison_settings,
     readings,
     rosenbrock,
+    search_curve,
     shifted_sphere,
     sphere,
 )
 
-SMALL = Problem(sphere, 3)
+GAP = 0.062
+SMALL = BenchmarkProblem(sphere, 3)
 GOOD = {"proposed": 0.01, "linear": 1.5, "damped": 1.4, "classic": 7.0}
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.name)
-def test_a_test_function_is_zero_at_its_only_published_minimum(problem: Problem) -> None:
+def test_a_test_function_is_zero_at_its_only_published_minimum(problem: BenchmarkProblem) -> None:
     n = problem.dimensions
     where: dict[Cost, Array] = {
         rosenbrock: np.ones(n),
@@ -65,31 +73,31 @@ def test_every_method_has_the_same_budget_and_stays_inside_the_bounds(method: st
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_curve_has_a_point_for_each_generation_falls_and_repeats(method: str) -> None:
-    found = curve(METHODS[method], SMALL, seed=3)
-    assert found.shape == (BUDGET // PARTICLES,)
-    assert np.all(np.diff(found) <= 0)
-    assert np.array_equal(found, curve(METHODS[method], SMALL, seed=3))
-    assert not np.array_equal(found, curve(METHODS[method], SMALL, seed=4))
+    best = search_curve(METHODS[method], SMALL, seed=3)
+    assert best.shape == (BUDGET // PARTICLES,)
+    assert np.all(np.diff(best) <= 0)
+    assert np.array_equal(best, search_curve(METHODS[method], SMALL, seed=3))
+    assert not np.array_equal(best, search_curve(METHODS[method], SMALL, seed=4))
 
 
 def test_the_curve_of_a_swarm_is_its_history() -> None:
     space = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(3)]
     rng = np.random.default_rng(3)
-    best = minimize(sphere, space, as_in_the_paper("linear"), rng, at_once)
-    assert np.array_equal(curve(METHODS["linear"], SMALL, seed=3), best.history)
+    best = minimize(sphere, space, comparison_settings("linear"), rng, map_vectorized)
+    assert np.array_equal(search_curve(METHODS["linear"], SMALL, seed=3), best.history)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [("proposed", 0.2), ("linear", 0.4), ("linear", 6.0), ("damped", 0.4), ("classic", 1.45)],
 )
-def test_a_bar_that_is_missed_is_told(name: str, value: float) -> None:
-    assert all(bar.holds for bar in bars(GOOD))
-    assert not all(bar.holds for bar in bars({**GOOD, name: value}))
+def test_a_missed_bar_is_detected(name: str, value: float) -> None:
+    assert all_bars_hold(GOOD)
+    assert not all_bars_hold({**GOOD, name: value})
 
 
-def invented() -> Runs:
-    """Three runs of every method, of which `random` is the best and `proposed` second to it."""
+def example_runs() -> Runs:
+    """Return three runs of every method: `random` is best, `proposed` second."""
     order = [
         "random",
         "proposed",
@@ -103,26 +111,30 @@ def invented() -> Runs:
     }
 
 
-def test_where_the_proposed_variant_loses_is_said() -> None:
-    assert losses(invented()) == [f"{problem.name}: random" for problem in PROBLEMS]
-    assert "* sphere, n = 30: random\n" in markdown(invented(), {"one": np.ones(len(READ))})
+def test_the_tables_list_the_methods_that_beat_the_proposed_variant() -> None:
+    assert better_methods(example_runs()) == [f"{problem.name}: random" for problem in PROBLEMS]
+    assert "* sphere, n = 30: random\n" in bench_markdown(
+        example_runs(), {"one": np.ones(len(READING_VARIANTS))}
+    )
 
 
 def test_the_best_of_a_column_is_bold() -> None:
-    lines = markdown(invented(), {"one": np.ones(len(READ))}).splitlines()
+    lines = bench_markdown(example_runs(), {"one": np.ones(len(READING_VARIANTS))}).splitlines()
     bold = [line for line in lines if "**" in line]
     assert [line.split(" | ")[0] for line in bold] == ["| random"]
     assert bold[0].count("**0.2 (0.15-0.3)**") == len(PROBLEMS)
 
 
-def test_json_holds_every_run() -> None:
-    ways: Readings = {name: np.ones(len(READ)) for name in readings()}
-    held = json.loads(json.dumps(content(invented(), ways, bars(GOOD)), allow_nan=False))
-    one = held["problems"]["ackley, n = 5"]["random"]
+def test_json_contains_every_run() -> None:
+    medians = {name: np.ones(len(READING_VARIANTS)) for name in readings()}
+    text = json.dumps(bench_results(example_runs(), medians), allow_nan=False)
+    content = json.loads(text)
+    one = content["problems"]["ackley, n = 5"]["random"]
     assert one["final"] == pytest.approx([0.1, 0.2, 0.4])
     assert one["quartiles"] == pytest.approx([0.15, 0.2, 0.3])
     assert len(one["median_curve"]) == GENERATIONS + 1
-    assert set(held["bars"].values()) == {True}
+    assert content["bars"]["proposed < linear < classic"]
+    assert not content["bars"]["proposed < 0.1"]
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
@@ -134,14 +146,12 @@ def test_labels_keep_their_order_and_a_gap(places: list[float]) -> None:
 
 
 def test_the_picture_shows_every_problem(tmp_path: Path) -> None:
-    draw_curves(invented(), tmp_path / "curves.png")
+    draw_methods(example_runs(), tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("option", ["--seeds", "--workers"])
-def test_a_number_of_runs_below_one_is_refused(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_number_below_one_is_rejected(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([option, "0"])
     assert f"{option} 0 must be at least 1" in capsys.readouterr().err

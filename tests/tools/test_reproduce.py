@@ -1,4 +1,4 @@
-"""The page of the reproduction: whole, offline, and every number measured in its run."""
+"""Page of the reproduction: complete, offline, and every number measured in its run."""
 
 import json
 import math
@@ -11,48 +11,51 @@ import numpy as np
 import pytest
 
 from ampc_ros.mpc.gain_table import load_gain_table
-from launch_scripts.reporting.page_html import num, table
+from launch_scripts.reporting.pages import num
 from launch_scripts.reporting.style import CONTROLLER_STYLES
-from launch_scripts.reproduce import main, switched
+from launch_scripts.reproduce import main, read_switches
 from launch_scripts.run.json_values import to_json
-from launch_scripts.study.cases import (
-    FIXED_SPEED,
-    ROADS,
-    SHORT,
-    SWITCHES,
-    Found,
-    contender,
-    contenders,
-    numbers,
-    plant_vehicle,
-    road,
-    run,
-)
 from launch_scripts.study.claims import (
     DIRECTION,
     NO,
-    PAPER,
+    PAPER_MSE,
     YES,
-    claims,
+    check_claims,
     ratio_verdict,
     tuned_claim,
     wind_claim,
 )
-from launch_scripts.study.search import (
-    GIVEN_UP,
-    dimensions,
-    fitness_of,
-    gains_of,
-    mean_square,
+from launch_scripts.study.drives import (
+    DRIVE_SWITCHES,
+    FIXED_SPEED,
+    SEARCH_SWITCHES,
+    STUDY_ROADS,
+    STUDY_SWITCHES,
+    TunedGains,
+    available_contenders,
+    build_contender,
+    drive_contender,
+    drive_metrics,
+    plant_vehicle,
+    study_scenario,
+)
+from launch_scripts.study.measurements import (
+    ABORT_ERROR,
+    StudyPlan,
+    aborted_mse,
+    gain_dimensions,
+    gain_fitness,
+    gains_from_position,
     swarm_settings,
 )
+from launch_scripts.study.page import study_page
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation
 from tests.html_pages import Elements, check_that_no_request_leaves
 
 TABLE3 = load_gain_table("table3").nodes[0]
-FOUND = Found((0.5, 3.0), TABLE3, TABLE3)
-PLAIN: frozenset[str] = frozenset()
+TUNED = TunedGains((0.5, 3.0), TABLE3, TABLE3)
+PAPER: frozenset[str] = frozenset()
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +77,7 @@ def results(folder: Path) -> dict[str, Any]:
 
 
 def leaves(content: Any) -> Iterator[float]:
-    """Give all numbers of a JSON document."""
+    """Yield all numbers of a JSON document."""
     if isinstance(content, dict):
         content = list(content.values())
     if isinstance(content, list):
@@ -84,7 +87,7 @@ def leaves(content: Any) -> Iterator[float]:
         yield float(content)
 
 
-def test_every_number_of_the_page_stands_in_the_results(page: str, results: dict[str, Any]) -> None:
+def test_every_number_of_the_page_is_in_the_results(page: str, results: dict[str, Any]) -> None:
     known = set(leaves(results))
     shown = [float(a["value"] or "") for tag, a in Elements(page).found if tag == "data"]
     assert len(shown) > 100
@@ -111,7 +114,7 @@ def test_the_page_is_one_small_file_with_a_described_picture_for_each_figure(pag
     assert len(page.encode()) < 5_000_000
 
 
-def test_the_run_says_how_to_repeat_it(results: dict[str, Any]) -> None:
+def test_the_results_contain_all_that_is_needed_to_repeat_the_run(results: dict[str, Any]) -> None:
     assert {"command", "date", "seeds", "version", "machine", "packages"} <= set(results["meta"])
     assert "--quick" in results["meta"]["command"]
     assert results["duration_s"] > 0
@@ -119,7 +122,7 @@ def test_the_run_says_how_to_repeat_it(results: dict[str, Any]) -> None:
 
 def test_every_contender_has_a_number_on_every_road_driven(results: dict[str, Any]) -> None:
     for row in results["roads"].values():
-        assert set(row) == set(contenders())
+        assert set(row) == set(available_contenders())
         assert all(measured["mse_m2"] >= 0 for measured in row.values())
 
 
@@ -139,51 +142,58 @@ def test_bad_arguments_give_one_line(
 ) -> None:
     with pytest.raises(SystemExit):
         main(arguments)
-    complaints = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
-    assert len(complaints) == 1
-    assert words in complaints[0]
+    errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert len(errors) == 1
+    assert words in errors[0]
 
 
 def test_a_switch_overrides_the_reading() -> None:
-    assert switched("paper", []) == PLAIN
-    assert switched("authors_code", []) == set(SWITCHES)
-    assert switched("authors_code", ["tyre=paper"]) == set(SWITCHES) - {"tyre"}
-    assert switched("paper", ["tyre=authors_code", "tyre=paper"]) == PLAIN
+    assert read_switches("paper", []) == PAPER
+    assert read_switches("authors_code", []) == set(STUDY_SWITCHES)
+    assert read_switches("authors_code", ["tyre=paper"]) == set(STUDY_SWITCHES) - {"tyre"}
+    assert read_switches("paper", ["tyre=authors_code", "tyre=paper"]) == PAPER
 
 
-@pytest.mark.parametrize("switch", [name for name, s in SWITCHES.items() if s.drives])
+@pytest.mark.parametrize("switch", DRIVE_SWITCHES)
 def test_a_switch_that_changes_drives_changes_a_drive(switch: str) -> None:
-    windy = road("sc3_constant", duration=25.0)
-    driven = [run("paper", windy, FOUND, frozenset(s)) for s in ((), (switch,))]
+    windy = study_scenario("sc3_constant", duration=25.0)
+    driven = [drive_contender("paper", windy, TUNED, frozenset(s)) for s in ((), (switch,))]
     assert not np.array_equal(driven[0].error, driven[1].error)
 
 
-@pytest.mark.parametrize("switch", [name for name, s in SWITCHES.items() if not s.drives])
+@pytest.mark.parametrize("switch", SEARCH_SWITCHES)
 def test_a_switch_that_changes_searches_changes_one(switch: str) -> None:
     at = np.array([[0.8, 3.0, 10.0, 30.0, 1.0, -2.0]])
 
-    def search(authors: frozenset[str]) -> tuple[Any, ...]:
-        settings = swarm_settings(authors)
-        return settings, dimensions(authors), float(fitness_of(False, ("sc1",), authors)(at)[0])
+    def search(switches: frozenset[str]) -> tuple[Any, ...]:
+        settings = swarm_settings(switches, StudyPlan(switches))
+        fitness = gain_fitness(False, ("sc1",), switches)
+        return settings, gain_dimensions(switches), float(fitness(at)[0])
 
-    assert search(frozenset([switch])) != search(PLAIN)
+    assert search(frozenset([switch])) != search(PAPER)
 
 
 def test_the_adaptive_model_is_the_classic_one_where_speed_is_constant() -> None:
-    mse = {n: numbers(run(n, road("sc1"), FOUND))["mse_m2"] for n in ("paper", "classic")}
+    mse = {
+        n: drive_metrics(drive_contender(n, study_scenario("sc1"), TUNED))["mse_m2"]
+        for n in ("paper", "classic")
+    }
     assert mse["classic"] == pytest.approx(mse["paper"], rel=0.01)
 
 
 def test_on_varying_speed_the_adaptive_model_is_three_times_better() -> None:
-    mse = {n: numbers(run(n, road("sc2"), FOUND))["mse_m2"] for n in ("paper", "classic")}
+    mse = {
+        n: drive_metrics(drive_contender(n, study_scenario("sc2"), TUNED))["mse_m2"]
+        for n in ("paper", "classic")
+    }
     assert mse["classic"] >= 3 * mse["paper"]
 
 
 def test_at_18_m_s_the_fixed_model_is_lost_in_wind_and_without_and_the_adaptive_is_not() -> None:
-    windy = road("sc3_fast_wind")
+    windy = study_scenario("sc3_fast_wind")
     for scenario in (windy, windy._replace(wind=())):
-        assert np.abs(run("classic", scenario, FOUND).error).max() > 3
-        assert np.abs(run("paper", scenario, FOUND).error).max() < 1.5
+        assert np.abs(drive_contender("classic", scenario, TUNED).error).max() > 3
+        assert np.abs(drive_contender("paper", scenario, TUNED).error).max() < 1.5
 
 
 @pytest.mark.parametrize(
@@ -219,9 +229,9 @@ def test_wind_counts_as_a_cause_only_if_calm_air_is_harmless(
 
 
 def test_claims_about_roads_that_were_not_driven_are_left_out(results: dict[str, Any]) -> None:
-    found = claims(results)
-    assert [claim._asdict() for claim in found] == results["claims"]
-    assert not [claim for claim in found if "Sc3," in claim.claim]
+    checked = check_claims(results)
+    assert [claim._asdict() for claim in checked] == results["claims"]
+    assert not [claim for claim in checked if "Sc3," in claim.claim]
 
 
 def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) -> None:
@@ -234,26 +244,26 @@ def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) 
     assert judged.here[:4] == ["MSE of Table 3 over MSE tuned", ", table: ", 0.5, " to "]
 
 
-def test_a_drive_that_was_given_up_counts_to_its_end() -> None:
-    scenario = road("sc1", duration=10.0)
-    car = plant_vehicle(PLAIN)
-    steering = contender("paper", FIXED_SPEED["sc1"], FOUND, PLAIN)
-    (driven,) = drive_fleet([Entry(Simulation(car, scenario), steering)], lost=0.2)  # type: ignore[arg-type]
-    whole = mean_square(driven, scenario, car.chassis.cg_to_rear_axle, 0.1)
+def test_the_missing_ticks_of_an_aborted_drive_count_with_the_abort_error() -> None:
+    scenario = study_scenario("sc1", duration=10.0)
+    steering = build_contender("paper", FIXED_SPEED["sc1"], TUNED, PAPER)
+    car = Entry(Simulation(plant_vehicle(PAPER), scenario), steering)  # type: ignore[arg-type]
+    (driven,) = drive_fleet([car], lost=0.2)
+    whole = aborted_mse(driven, car)
     missing = 100 - len(driven.states)
     assert missing > 0
-    assert whole == pytest.approx(missing / 100 * GIVEN_UP**2, rel=0.01)
+    assert whole == pytest.approx(missing / 100 * ABORT_ERROR**2, rel=0.01)
 
 
 def test_gains_of_a_particle_keep_the_horizons_in_order() -> None:
-    gains = gains_of(np.array([0.5, 6.0, 30.0, 5.0, 1.0, -2.0]))
+    gains = gains_from_position(np.array([0.5, 6.0, 30.0, 5.0, 1.0, -2.0]))
     assert (gains.prediction_horizon, gains.control_horizon, gains.laguerre_terms) == (5, 5, 5)
     assert (gains.output_weight, gains.increment_weight) == pytest.approx((10.0, 0.01))
 
 
 def test_singular_gains_have_no_fitness() -> None:
     singular = np.array([[0.9, 9.0, 18.0, 55.0, 1.0, -3.0]])
-    assert math.isinf(fitness_of(False, ("sc1",), PLAIN)(singular)[0])
+    assert math.isinf(gain_fitness(False, ("sc1",), PAPER)(singular)[0])
 
 
 @pytest.mark.parametrize(
@@ -264,11 +274,35 @@ def test_numbers_are_short_and_carry_their_value(value: float, shown: str) -> No
     assert num(value) == f'<data value="{value!r}">{shown}</data>'
 
 
-def test_words_of_others_are_no_html() -> None:
-    assert "<b>" not in table(("a", "b"), [("<b>", "<b>")], ["<b>"])
+def test_text_of_the_page_is_escaped(results: dict[str, Any]) -> None:
+    names = (*results["roads"], "adaptation", "sphere", "tuning", "look_ahead", "sweep")
+    meta = {**results["meta"], "command": "<i>command</i>"}
+    text = study_page({**results, "meta": meta}, dict.fromkeys(names, ""))
+    assert "<i>" not in text
+    assert text.count("&lt;i&gt;command&lt;/i&gt;") == 2
+
+
+def test_every_switch_is_explained_on_the_page(page: str) -> None:
+    changes = re.findall(r'<th scope="row">(\w+)</th>.*data-head="changes">(\w+)<', page)
+    assert changes == [
+        *((name, "drive") for name in DRIVE_SWITCHES),
+        *((name, "search") for name in SEARCH_SWITCHES),
+    ]
+
+
+def test_explanations_appear_only_with_a_complete_run_of_the_papers_reading(
+    results: dict[str, Any],
+) -> None:
+    names = (*results["roads"], "adaptation", "sphere", "tuning", "look_ahead", "sweep")
+    for quick, authors_code in ((False, []), (True, []), (False, ["tyre"])):
+        meta = {**results["meta"], "quick": quick, "authors_code": authors_code}
+        text = study_page({**results, "meta": meta}, dict.fromkeys(names, ""))
+        explained = not quick and not authors_code
+        assert ("set-point matters more" in text) == explained
+        assert ("With a tuned look-ahead" in text) == explained
 
 
 def test_names_fit_together() -> None:
-    assert set(PAPER) <= set(ROADS) == set(SHORT) == set(FIXED_SPEED)
+    assert set(PAPER_MSE) <= set(STUDY_ROADS) == set(FIXED_SPEED)
     assert set(CONTROLLER_STYLES) >= {"paper", "classic", "pure_pursuit", "preview"}
     assert to_json({"a": [math.inf, 1.0]}) == {"a": [None, 1.0]}

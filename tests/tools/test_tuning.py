@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ampc_ros.pso.minimize import minimize
-from ampc_ros.pso.settings import PsoSettings
-from ampc_ros.pso.swarm import Swarm, to_json
+from ampc_ros.pso.swarm import PsoSettings, Swarm
+from launch_scripts.run.json_values import to_json
 from launch_scripts.tune import build_parser, command_of, main
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (

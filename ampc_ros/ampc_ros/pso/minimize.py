@@ -1,12 +1,12 @@
-"""Particle swarm optimisation, Eqs. (31)-(34): proposed, classic and adaptive swarms, one function.
+"""Particle swarm optimisation, Eq. (31), with the rules of the settings, Eqs. (33)-(34).
 
     dimensions = [Dimension("Q", 0.1, 10.0), Dimension("N_p", 1, 55, integer=True)]
     best = minimize(cost, dimensions, PsoSettings(), np.random.default_rng(1))
 
-`map` says how a cost meets a generation: `map(cost, positions)` gives a fitness for each row of
-positions (n, d). The builtin, `executor.map` of threads or processes, or `at_once` for a cost that
-takes all of them in one (compiled) call. Every random number is drawn here, before the generation
-is evaluated, so that the result is the same, bit for bit, wherever the cost runs.
+Argument `map` evaluates a generation: `map(cost, positions)` returns a fitness for each row of
+positions (n, d). Use the builtin, `executor.map` of threads or processes, or `map_vectorized` for a
+cost that takes all rows in one (compiled) call. All random numbers are drawn here, before the
+generation is evaluated. The result is therefore the same, bit for bit, wherever the cost runs.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,27 +16,31 @@ import numpy as np
 import numpy.typing as npt
 
 from ampc_msgs_config.types import Array
-from ampc_ros.pso.adaptive_pso import CONVERGENCE, FIRST, adapted, learned
-from ampc_ros.pso.settings import Dimension, PsoSettings, Space, space
-from ampc_ros.pso.swarm import Swarm, Task
-from ampc_ros.pso.weights import scheduled
+from ampc_ros.pso.swarm import (
+    Dimension,
+    PsoSettings,
+    Space,
+    Swarm,
+    SwarmContext,
+    swarm_space,
+)
 
-Map = Callable[[Callable[..., Any], Array], Iterable[Any]]
+MapFunction = Callable[[Callable[..., Any], Array], Iterable[Any]]
 
 
 class Minimum(NamedTuple):
-    """What a search found."""
+    """Result of a search."""
 
     position: Array
-    """The best (d,), integer dimensions rounded."""
+    """Best position (d,), integer dimensions rounded."""
     fitness: float
-    """Of the best; infinite if no particle ever had a finite one."""
+    """Fitness of the best position; infinite if no evaluation was finite."""
     history: Array
-    """Best fitness after each generation, the first is the random one (generations + 1,)."""
+    """Best fitness after each generation, from the random initial one on (generations + 1,)."""
     evaluations: npt.NDArray[np.int64]
-    """Particles evaluated after each generation (generations + 1,)."""
+    """Number of evaluations after each generation (generations + 1,)."""
     swarm: Swarm
-    """The last generation."""
+    """Last generation."""
 
 
 def minimize(
@@ -44,13 +48,12 @@ def minimize(
     bounds: Sequence[Dimension],
     settings: PsoSettings,
     rng: np.random.Generator,
-    map: Map = map,
+    map: MapFunction = map,
     resume: Swarm | None = None,
 ) -> Minimum:
     """Search for the position of least cost; arguments as of `search`."""
-    for swarm in search(cost, bounds, settings, rng, map, resume):
-        last = swarm
-    position = _rounded(space(bounds), last.best_position[last.leader])
+    *_, last = search(cost, bounds, settings, rng, map, resume)
+    position = _rounded(swarm_space(bounds), last.best_position[last.leader])
     fitness = float(last.best_fitness[last.leader])
     return Minimum(position, fitness, last.history, last.evaluations, last)
 
@@ -60,130 +63,112 @@ def search(
     bounds: Sequence[Dimension],
     settings: PsoSettings,
     rng: np.random.Generator,
-    map: Map = map,
+    map: MapFunction = map,
     resume: Swarm | None = None,
 ) -> Iterator[Swarm]:
-    """Give the swarm after each generation; any of them continues the search, bit for bit.
+    """Yield the swarm after each generation; a search can resume from each of them, bit for bit.
 
     Args:
-        cost: Fitness of a position (d,), or with `at_once` of positions (n, d); smaller is better.
-            What is not finite counts as worse than everything.
-        bounds: The dimensions.
-        settings: Of the swarm.
+        cost: Fitness of a position (d,), or with `map_vectorized` of positions (n, d). Smaller is
+            better. A value that is not finite is worse than all others.
+        bounds: Dimensions.
+        settings: Size and rules of the swarm.
         rng: Source of all random numbers; with `resume` only its kind matters.
-        map: How the cost is called, see above.
-        resume: A swarm of an earlier search with the same arguments; it is given first.
+        map: Evaluates a generation, see above.
+        resume: Swarm of an earlier search with the same arguments; it is yielded first.
 
     Raises:
-        ValueError: Bounds, or a resumed swarm that has another shape.
+        ValueError: The bounds are wrong, or the swarm to resume has another shape.
     """
-    where, shape = space(bounds), (settings.particles, len(bounds))
+    space, shape = swarm_space(bounds), (settings.particles, len(bounds))
     if resume is not None and resume.position.shape != shape:
         raise ValueError(
             f"resume: particles x dimensions = {resume.position.shape} must be {shape}"
         )
+    count = 0
 
     def evaluate(position: Array) -> Array:
-        return _fitness(list(map(cost, _rounded(where, position))), len(position))
+        nonlocal count
+        count += len(position)
+        return _finite_fitness(list(map(cost, _rounded(space, position))), len(position))
 
-    return _generations(resume, Task(evaluate, where, settings, rng))
+    def generations(swarm: Swarm | None) -> Iterator[Swarm]:
+        if swarm is None:
+            swarm = _initial(context)
+        yield swarm
+        while swarm.generation < settings.generations:
+            rng.bit_generator.state = swarm.random
+            before = count
+            after = _next(swarm, context)
+            swarm = after._replace(
+                generation=swarm.generation + 1,
+                history=np.append(swarm.history, after.best_fitness.min()),
+                evaluations=np.append(swarm.evaluations, swarm.evaluations[-1] + count - before),
+            )
+            yield swarm
+
+    context = SwarmContext(evaluate, space, settings, rng)
+    return generations(resume)
 
 
-def at_once(cost: Callable[[Array], Iterable[Any]], positions: Array) -> Iterable[Any]:
-    """Call a cost once with a whole generation (n, d): a `map` for compiled swarms."""
+def map_vectorized(cost: Callable[[Array], Iterable[Any]], positions: Array) -> Iterable[Any]:
+    """Call the cost once with a whole generation (n, d): the `map` of a compiled cost."""
     return cost(positions)
 
 
-def _generations(swarm: Swarm | None, task: Task) -> Iterator[Swarm]:
-    if swarm is None:
-        swarm = _first(task)
-    yield swarm
-    while swarm.generation < task.settings.generations:
-        task.rng.bit_generator.state = swarm.random
-        swarm = _next(swarm, task)
-        yield swarm
-
-
-def _first(task: Task) -> Swarm:
-    """Scatter the particles uniformly, at rest."""
-    evaluate, where, settings, rng = task
-    x = rng.uniform(where.low, where.high, (settings.particles, len(where.low)))
+def _initial(context: SwarmContext) -> Swarm:
+    """Return a generation 0 of uniformly distributed particles at rest."""
+    evaluate, space, settings, rng = context
+    x = rng.uniform(space.low, space.high, (settings.particles, len(space.low)))
     random, fitness = rng.bit_generator.state, evaluate(x)
-    weights = FIRST if settings.variant == "adaptive" else scheduled(settings, 0)
     history, evaluations = np.array([fitness.min()]), np.array([len(x)])
-    rest = np.zeros_like(x)
-    return Swarm(0, x, rest, fitness, x, fitness, weights, 0, history, evaluations, random)
+    v, weights = np.zeros_like(x), settings.weights(0)
+    return Swarm(0, x, v, fitness, x, fitness, weights, 0, history, evaluations, random)
 
 
-def _next(swarm: Swarm, task: Task) -> Swarm:
-    """Give the next generation; a swarm that knows no finite fitness is scattered anew."""
+def _next(swarm: Swarm, context: SwarmContext) -> Swarm:
+    """Return the particles of the next generation; restart where no fitness so far is finite."""
     if not np.isfinite(swarm.best_fitness).any():
-        return _appended(swarm, _first(task))
-    if task.settings.variant == "adaptive":
-        swarm = learned(adapted(swarm, task), task)
-    else:
-        swarm = swarm._replace(weights=scheduled(task.settings, swarm.generation))
-    x, v = _moved(swarm, task)
-    random, fitness = task.rng.bit_generator.state, task.evaluate(x)
+        return _initial(context)
+    swarm = context.settings.adapt(swarm, context)
+    x, v = _moved(swarm, context)
+    random, fitness = context.rng.bit_generator.state, context.evaluate(x)
     better = fitness < swarm.best_fitness
-    return _appended(
-        swarm,
-        swarm._replace(
-            position=x,
-            velocity=v,
-            fitness=fitness,
-            best_position=np.where(better[:, None], x, swarm.best_position),
-            best_fitness=np.where(better, fitness, swarm.best_fitness),
-            random=random,
-        ),
+    return swarm._replace(
+        position=x,
+        velocity=v,
+        fitness=fitness,
+        best_position=np.where(better[:, None], x, swarm.best_position),
+        best_fitness=np.where(better, fitness, swarm.best_fitness),
+        random=random,
     )
 
 
-def _appended(before: Swarm, after: Swarm) -> Swarm:
-    """Count a generation; the leader of a converged adaptive swarm was evaluated once more."""
-    count = len(after.fitness) + int(after.state == CONVERGENCE)
-    return after._replace(
-        generation=before.generation + 1,
-        history=np.append(before.history, after.best_fitness.min()),
-        evaluations=np.append(before.evaluations, before.evaluations[-1] + count),
-    )
-
-
-def _moved(swarm: Swarm, task: Task) -> tuple[Array, Array]:
-    """Move all particles by Eq. (31), with velocity clamp and boundary rule.
+def _moved(swarm: Swarm, context: SwarmContext) -> tuple[Array, Array]:
+    """Return position and velocity after Eq. (31), velocity clamp and boundary rule.
 
     Note:
-        r_1 and r_2 are drawn for every particle and dimension. All particles follow the Gb of the
-        generation before: the authors' code updates it from particle to particle, which cannot run
-        in parallel.
+        r_1 and r_2 are drawn for each particle and dimension. All particles use Gb of the previous
+        generation. The authors' code updates Gb after each particle, which cannot run in parallel.
     """
+    _, space, settings, rng = context
     omega, c_1, c_2 = swarm.weights
     x, Pb = swarm.position, swarm.best_position
-    r_1, r_2 = task.rng.random((2, *x.shape))
+    r_1, r_2 = rng.random((2, *x.shape))
     v = omega * swarm.velocity + c_1 * r_1 * (Pb - x) + c_2 * r_2 * (Pb[swarm.leader] - x)
-    limit = task.settings.max_velocity * (task.space.high - task.space.low)
-    return _bounded(x, np.clip(v, -limit, limit), task.space, task.settings.boundary)
+    limit = settings.max_velocity * (space.high - space.low)
+    return settings.keep_inside(x, np.clip(v, -limit, limit), space)
 
 
-def _bounded(x: Array, v: Array, where: Space, rule: str) -> tuple[Array, Array]:
-    flown = x + v
-    x = np.clip(flown, where.low, where.high)
-    if rule == "clip":
-        return x, v
-    if rule == "absorb":
-        return x, np.where(x == flown, v, 0.0)
-    return np.clip(2 * x - flown, where.low, where.high), np.where(x == flown, v, -v)
+def _rounded(space: Space, position: Array) -> Array:
+    return np.where(space.integer, np.rint(position), position)
 
 
-def _rounded(where: Space, position: Array) -> Array:
-    return np.where(where.integer, np.rint(position), position)
-
-
-def _fitness(answers: Sequence[Any], particles: int) -> Array:
-    """Give what the cost answered; what is not finite is the worst."""
-    values = np.array(answers, float)
-    if values.shape != (particles,):
+def _finite_fitness(values: Sequence[Any], particles: int) -> Array:
+    """Return the values of the cost as an array; values that are not finite become infinite."""
+    fitness = np.array(values, float)
+    if fitness.shape != (particles,):
         raise ValueError(
-            f"cost: gave shape {values.shape}, needed one number for each particle, ({particles},)"
+            f"cost: returned shape {fitness.shape}, must be one number per particle, ({particles},)"
         )
-    return np.where(np.isfinite(values), values, np.inf)
+    return np.where(np.isfinite(fitness), fitness, np.inf)

@@ -1,0 +1,426 @@
+"""Measurements of the reproduction: searches, drives, sweeps, faults, wind, test functions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ampc_msgs_config.config import find
+from ampc_msgs_config.metrics import Drive, errors
+from ampc_msgs_config.paths.curves import q
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.types import Array
+from ampc_ros.mpc.gain_table import Gains, load_gain_table
+from ampc_ros.paper.controller import LateralMpc
+from ampc_ros.pso.minimize import map_vectorized, minimize
+from ampc_ros.pso.swarm import Dimension
+from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.drives import (
+    DRIVE_SWITCHES,
+    FIXED_SPEED,
+    SEARCH_SWITCHES,
+    STUDY_ROADS,
+    Switches,
+    TunedGains,
+    available_contenders,
+    constant_table,
+    controller_settings,
+    drive_contender,
+    drive_metrics,
+    plant_vehicle,
+    study_scenario,
+)
+from launch_scripts.study.pso_methods import (
+    METHODS,
+    PROBLEMS,
+    READING_VARIANTS,
+    all_bars_hold,
+    reading_medians,
+    readings,
+    search_curves,
+)
+from launch_scripts.study.pso_variants import VariantSettings
+from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
+from launch_scripts.tuning.task import geometric_mean
+from sim_vehicle.closed_loop import Simulation
+from sim_vehicle.parameters import load_vehicle
+
+TUNING_ROADS = ("sc1", "sc2", "sc3_varying")
+"""Gains and look-ahead are tuned on these roads; the others are held out."""
+LOOK_AHEAD_TIMES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)
+"""Grid of the look-ahead search [s]."""
+LOOK_AHEAD_DISTANCES = (2.0, 4.0, 6.0)
+"""Minimum distances in the grid of the look-ahead search [m]."""
+ABORT_ERROR = 10.0
+"""Cross-track error that ends a drive of a search; its remaining ticks count with it [m]."""
+INCREMENT_WEIGHTS = (1e-3, 1e-2, 1e-1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4)
+"""R of the sweep, Q = 10."""
+GAIN_BOUNDS = {
+    "paper": ((0.0, 0.9), (1, 6), (1, 30), (5, 60), (-1.0, 2.0), (-3.0, 3.0)),
+    "authors_code": ((0.75, 0.99), (1, 9), (1, 18), (1, 55), (-1.0, 1.0), (-3.0, -1.0)),
+}
+"""Bounds of alpha, N, N_c, N_p and the decadic logarithms of Q and R."""
+GAIN_NAMES = ("alpha", "N", "N_c", "N_p", "log10 Q", "log10 R")
+SWARMS = ("proposed", "linear", "damped", "classic", "fitted linear", "Zhan's adaptive")
+MOVE_LENGTHS = (15.0, 20.0, 30.0, 45.0, 60.0)
+"""Lengths of each half of the double lane change in the geometry sweep [m]."""
+LANE_WIDTH, STRAIGHT_LENGTH = 3.5, 25.0
+"""Lateral offset of the lane change, and distance between its halves [m]."""
+FRAGILITY: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
+    "Sc1, 50 ms of steering delay": ("sc1", {}, {"delay": 0.05}),
+    "Sc1, 100 ms of steering lag": ("sc1", {}, {"lag": 0.1}),
+    "straight, joined from 0.5 m, 9 m/s": ("straight", {"start_offset": 0.5, "speed": 9.0}, {}),
+    "straight, joined from 0.5 m, 15 m/s": ("straight", {"start_offset": 0.5, "speed": 15.0}, {}),
+    "straight, joined from 0.5 m, 21 m/s": ("straight", {"start_offset": 0.5, "speed": 21.0}, {}),
+}
+"""Unmodelled conditions: scenario, changes of the scenario, changes of the steering."""
+WIND_SPEEDS = (11.0, 13.0, 15.0, 16.0, 17.0, 18.0)
+"""Speeds on the stretched road, with and without wind [m/s]."""
+StepCallback = Callable[[], None]
+"""Called after each of the steps that `count_steps` counts."""
+
+
+class StudyPlan(NamedTuple):
+    """Extent of a reproduction."""
+
+    switches: Switches
+    """Switches that are set to the authors' code in all measurements."""
+    roads: tuple[str, ...] = tuple(STUDY_ROADS)
+    tuning_roads: tuple[str, ...] = TUNING_ROADS
+    tuning_seeds: tuple[int, ...] = (1, 2, 3)
+    swarm: tuple[tuple[str, int], ...] = ()
+    """Changed settings of the swarm that tunes the gains."""
+    sphere_seeds: int = 51
+    problems: int = len(PROBLEMS)
+    single_switches: tuple[str, ...] = DRIVE_SWITCHES
+    """Switches whose effect is measured one at a time."""
+
+
+def quick_plan(switches: Switches) -> StudyPlan:
+    """Return the plan of a quick run: two roads and a tiny search."""
+    swarm = (("particles", 3), ("generations", 1))
+    return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",))
+
+
+def count_steps(plan: StudyPlan) -> int:
+    """Return the number of steps that `measure_study` reports."""
+    moves = sum(swarm_settings(s, plan).generations + 1 for _, s, _ in gain_searches(plan))
+    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 3
+
+
+def measure_study(
+    plan: StudyPlan, step: StepCallback
+) -> tuple[dict[str, Any], dict[str, dict[str, SimulatedDrive]]]:
+    """Return all results for JSON, and the drives for the figures by road and contender."""
+    # searches: look-ahead, then the best single gain sets
+    tuned, searches = search_gains(plan, step)
+    # every contender on every road
+    driven: dict[str, dict[str, SimulatedDrive]] = {}
+    for name in plan.roads:
+        scenario = study_scenario(name)
+        driven[name] = {
+            n: drive_contender(n, scenario, tuned, plan.switches) for n in available_contenders()
+        }
+        step()
+    results: dict[str, Any] = {
+        "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
+        **searches,
+        "wind_effect": wind_effect(driven, tuned, plan.switches),
+        "switches": switch_effects(plan, tuned, step),
+        "sweep": sweep_increment_weight(plan.tuning_roads[:2], plan.switches),
+    }
+    step()
+    # attempts where the paper does not reproduce
+    results["geometry"] = sweep_geometry(tuned, plan.switches)
+    results["fragile"] = measure_fragility(tuned, plan.switches)
+    results["wind_speeds"] = sweep_wind_speed(tuned, plan.switches)
+    step()
+    results["sphere"] = measure_swarms(plan.sphere_seeds, plan.problems)
+    step()
+    return results, driven
+
+
+def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
+    """Return the searches: with the plan's switches, then as in the authors' code.
+
+    Each is: whether the model is fixed, switches, seed.
+    """
+    own = [(fixed, plan.switches, s) for fixed, s in product((False, True), plan.tuning_seeds)]
+    code = plan.switches.union(SEARCH_SWITCHES)
+    other = [(fixed, code, plan.tuning_seeds[0]) for fixed in (False, True)]
+    return own + (other if code != plan.switches else [])
+
+
+def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[str, Any]]:
+    """Search for the look-ahead and the single gain sets; return the best, and all results."""
+    tuned, trials = search_look_ahead(plan.tuning_roads, plan.switches)
+    step()
+    rows = [search_gain_set(*search, plan, step) for search in gain_searches(plan)]
+
+    def best(model: str) -> Gains:
+        own = [row for row in rows if row["used"] and row["model"] == model]
+        return Gains(**min(own, key=lambda row: float(row["fitness_m2"]))["gains"])
+
+    tuned = tuned._replace(fixed=best("fixed"), adaptive=best("adaptive"))
+    return tuned, {
+        "look_ahead": {
+            "best": dict(zip(("time_s", "distance_m"), tuned.look_ahead, strict=True)),
+            "trials": trials,
+            "best_alone": {
+                road: min(trials, key=lambda t: float(t["mse"][road])) for road in plan.tuning_roads
+            },
+        },
+        "tuning": rows,
+    }
+
+
+def search_gain_set(
+    fixed: bool, switches: Switches, seed: int, plan: StudyPlan, step: StepCallback
+) -> dict[str, Any]:
+    """Search for the best single gain set with the paper's swarm; measure it on the tuning roads.
+
+    Args:
+        fixed: Whether the model does not follow the speed.
+        switches: Switches of the search.
+        seed: Seed of the swarm.
+        plan: Tuning roads, sizes, and switches of the drives.
+        step: Called after each generation.
+    """
+    fitness = gain_fitness(fixed, plan.tuning_roads, switches)
+
+    def counted(positions: Array) -> Array:
+        values = fitness(positions)
+        step()
+        return values
+
+    settings, dimensions = swarm_settings(switches, plan), gain_dimensions(switches)
+    best = minimize(counted, dimensions, settings, np.random.default_rng(seed), map_vectorized)
+    gains = gains_from_position(best.position)
+    name, tuned = "classic_pso" if fixed else "paper_one", TunedGains((0.0, 0.0), gains, gains)
+    mse = {
+        road: metrics_of([name], study_scenario(road), tuned, plan.switches)[name]["mse_m2"]
+        for road in plan.tuning_roads
+    }
+    return {
+        "model": "fixed" if fixed else "adaptive",
+        "search": "authors_code" if switches.issuperset(SEARCH_SWITCHES) else "paper",
+        "used": switches == plan.switches,
+        "seed": seed,
+        "gains": gains._asdict(),
+        "fitness_m2": best.fitness,
+        "history_m2": best.history.tolist(),
+        "evaluations": int(best.evaluations[-1]),
+        "mse_m2": mse,
+        "swarm": asdict(settings),
+        "bounds": {d.name: [d.low, d.high] for d in dimensions},
+    }
+
+
+def search_look_ahead(
+    roads: Sequence[str], switches: Switches
+) -> tuple[TunedGains, list[dict[str, Any]]]:
+    """Drive with every look-ahead of the grid; return the best one and all trials."""
+    table3 = load_gain_table("table3").nodes[0]
+    scenarios, trials = [study_scenario(name) for name in roads], list[dict[str, Any]]()
+    for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
+        tuned = TunedGains((time, distance), table3, table3)
+        drives = [drive_contender("pure_pursuit", s, tuned, switches) for s in scenarios]
+        mse = {s.name: float(np.mean(d.error**2)) for s, d in zip(scenarios, drives, strict=True)}
+        fitness = float(geometric_mean(np.array(list(mse.values()))))
+        trials.append({"time_s": time, "distance_m": distance, "fitness_m2": fitness, "mse": mse})
+    best = min(trials, key=lambda trial: float(trial["fitness_m2"]))
+    return TunedGains((best["time_s"], best["distance_m"]), table3, table3), trials
+
+
+def gain_dimensions(switches: Switches) -> list[Dimension]:
+    """Return the dimensions of a search for gains."""
+    bounds = GAIN_BOUNDS["authors_code" if "bounds" in switches else "paper"]
+    return [
+        Dimension(name, *pair, integer=name in ("N", "N_c", "N_p"))
+        for name, pair in zip(GAIN_NAMES, bounds, strict=True)
+    ]
+
+
+def gains_from_position(position: Array) -> Gains:
+    """Return the gains of a position (6,); N and N_c are at most N_p, as in the authors' code."""
+    alpha, N, N_c, N_p, log_Q, log_R = position.tolist()
+    return Gains(int(N_p), int(min(N_c, N_p)), int(min(N, N_p)), alpha, 10.0**log_Q, 10.0**log_R)
+
+
+def swarm_settings(switches: Switches, plan: StudyPlan) -> VariantSettings:
+    """Return Table 2 of the paper, or the settings of the authors' code."""
+    settings = VariantSettings(variant="authors_code" if "schedule" in switches else "proposed")
+    if "sizes" in switches:
+        settings = replace(settings, generations=5, particles=10, max_inertia=0.9, min_inertia=0.4)
+    changes: dict[str, Any] = dict(plan.swarm)
+    return replace(settings, **changes)
+
+
+def gain_fitness(fixed: bool, roads: Sequence[str], switches: Switches) -> Callable[[Array], Array]:
+    """Return the fitness function of a generation (n, 6): geometric mean of the MSE [m^2].
+
+    With switch `fitness` the only scenario is that of the authors: a straight road, joined from
+    3.5 m at 9 m/s. Numerically singular gains have an infinite fitness.
+    """
+    if "fitness" in switches:
+        scenarios = [study_scenario("straight", start_offset=-3.5)]
+    else:
+        scenarios = [study_scenario(name) for name in roads]
+    speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
+    settings = [controller_settings(speed, switches) for speed in speeds]
+    plant, chassis = plant_vehicle(switches), load_vehicle(find("vehicles", "paper")).chassis
+
+    def fitness(positions: Array) -> Array:
+        result, cars = np.full(len(positions), np.inf), dict[int, list[Entry]]()
+        for k, position in enumerate(positions):
+            with suppress(ValueError):  # singular gains
+                table = constant_table(gains_from_position(position), switches)
+                cars[k] = [
+                    Entry(Simulation(plant, scenario), LateralMpc(chassis, chosen, table))
+                    for scenario, chosen in zip(scenarios, settings, strict=True)
+                ]
+        fleet = [entry for row in cars.values() for entry in row]
+        drives = iter(drive_fleet(fleet, 2, ABORT_ERROR) if fleet else [])
+        for k, row in cars.items():
+            result[k] = geometric_mean(np.array([aborted_mse(next(drives), car) for car in row]))
+        return result
+
+    return fitness
+
+
+def aborted_mse(drive: Drive, car: Entry) -> float:
+    """Return the MSE of a drive; the ticks after an abort count with ABORT_ERROR [m^2]."""
+    scenario, to_cg = car.simulation.scenario, car.simulation.vehicle.chassis.cg_to_rear_axle
+    error = errors(drive, make_path(scenario.points), to_cg)[:, 0]
+    missing = max(round(scenario.duration / car.controller.period) - len(error), 0)
+    return float((np.sum(error**2) + missing * ABORT_ERROR**2) / (len(error) + missing))
+
+
+def switch_effects(plan: StudyPlan, tuned: TunedGains, step: StepCallback) -> dict[str, Any]:
+    """Drive with one difference at a time taken from the authors' code, then with all of them."""
+    effects: dict[str, Any] = {}
+    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
+    cases = {"none": frozenset(), **cases, "all": frozenset(DRIVE_SWITCHES)}
+    for name, switches in cases.items():
+        effects[name] = {
+            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
+            for road in plan.roads
+        }
+        step()
+    return effects
+
+
+def metrics_of(
+    names: Sequence[str],
+    scenario: Scenario,
+    tuned: TunedGains,
+    switches: Switches,
+    **steering: float,
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of some contenders in a scenario."""
+    return {
+        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
+    }
+
+
+def sweep_increment_weight(roads: Sequence[str], switches: Switches) -> list[dict[str, Any]]:
+    """Return the MSE of the AMPC over R; the other gains are those of Table 3 [m^2]."""
+    table3 = load_gain_table("table3").nodes[0]
+    rows = []
+    for R in INCREMENT_WEIGHTS:
+        tuned = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
+        drives = {
+            name: drive_contender("paper_one", study_scenario(name), tuned, switches)
+            for name in roads
+        }
+        mse = {name: float(np.mean(np.square(d.error))) for name, d in drives.items()}
+        rows.append({"R": R, "mse_m2": mse})
+    return rows
+
+
+def wind_effect(
+    driven: Mapping[str, Mapping[str, SimulatedDrive]], tuned: TunedGains, switches: Switches
+) -> dict[str, Any]:
+    """Return the largest errors with and without wind, on the roads with wind [m]."""
+    effect: dict[str, Any] = {}
+    for name, row in driven.items():
+        windy = study_scenario(name)
+        if not windy.wind:
+            continue
+        calm = {n: drive_contender(n, windy._replace(wind=()), tuned, switches) for n in row}
+        effect[name] = {
+            n: {"wind_m": largest_error(row[n]), "calm_m": largest_error(calm[n])} for n in row
+        }
+    return effect
+
+
+def largest_error(driven: SimulatedDrive) -> float:
+    """Return the largest absolute cross-track error [m]."""
+    return float(np.abs(driven.error).max())
+
+
+def sweep_wind_speed(tuned: TunedGains, switches: Switches) -> list[dict[str, Any]]:
+    """Return the largest errors of AMPC and classic MPC over speed, with and without wind [m]."""
+    rows = []
+    for speed in WIND_SPEEDS:
+        windy = study_scenario("sc3_fast_wind", speed=speed)
+        row = {"speed_mps": speed}
+        for name, (air, scenario) in product(
+            ("paper", "classic"), (("calm", windy._replace(wind=())), ("wind", windy))
+        ):
+            driven = drive_contender(name, scenario, tuned, switches)
+            row[f"{name}_{air}_m"] = largest_error(driven)
+        rows.append(row)
+    return rows
+
+
+def sweep_geometry(tuned: TunedGains, switches: Switches) -> list[dict[str, Any]]:
+    """Return the MSE of the paper's three controllers over the length of the lane change [m^2]."""
+    rows, sc1 = [], study_scenario("sc1")
+    for length in MOVE_LENGTHS:
+        X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
+        back = (X - 30.0 - length - STRAIGHT_LENGTH) / length
+        Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
+        duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
+        scenario = sc1._replace(points=np.column_stack((X, Y)), duration=duration)
+        metrics = metrics_of(("paper", "classic", "pure_pursuit"), scenario, tuned, switches)
+        rows.append({"length_m": length, "mse_m2": {n: m["mse_m2"] for n, m in metrics.items()}})
+    return rows
+
+
+def measure_fragility(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
+    """Return the metrics with unmodelled delay and lag, and with a start beside the path."""
+    names = ("paper", "pure_pursuit", "preview")
+    return {
+        condition: metrics_of(names, study_scenario(name, **changes), tuned, switches, **steering)
+        for condition, (name, changes, steering) in FRAGILITY.items()
+    }
+
+
+def measure_swarms(seeds_each: int, problems: int) -> dict[str, Any]:
+    """Return the curves of the swarms on the sphere, final quartiles, medians of the readings."""
+    seeds = range(seeds_each)
+    runs = {
+        problem: {name: search_curves(METHODS[name], problem, seeds) for name in SWARMS}
+        for problem in PROBLEMS[:problems]
+    }
+    outcomes = {}
+    for name in readings():
+        medians = reading_medians(name, seeds).tolist()
+        median = dict(zip(READING_VARIANTS, medians, strict=True))
+        outcomes[name] = {"median": median, "holds": all_bars_hold(median)}
+    return {
+        "curves": {name: values.tolist() for name, values in runs[PROBLEMS[0]].items()},
+        "final": {
+            problem.name: {
+                name: np.percentile(values[:, -1], (25, 50, 75)).tolist()
+                for name, values in row.items()
+            }
+            for problem, row in runs.items()
+        },
+        "readings": outcomes,
+    }

@@ -1,0 +1,231 @@
+"""Test functions, search methods and readings of the paper for the benchmark of its swarm."""
+
+import importlib.util
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import Bounds, differential_evolution
+
+from ampc_msgs_config.types import Array
+from ampc_ros.pso.minimize import map_vectorized, minimize
+from ampc_ros.pso.swarm import Dimension, PsoSettings
+from launch_scripts.study.pso_variants import VariantSettings
+
+PARTICLES, GENERATIONS, SCHEDULE = 20, 41, 100
+"""Sizes of the paper's comparison: 41 of 100 generations are shown."""
+BUDGET = PARTICLES * (GENERATIONS + 1)
+"""Number of evaluations of every method."""
+BOUND = 10.0
+"""Every dimension is searched within +-10."""
+FIRST_STEP = BOUND / 2
+"""Initial standard deviation of CMA-ES: a quarter of the range, as its author recommends."""
+CLAIMED = ("proposed", "linear", "damped", "classic")
+"""Variants of the paper's comparison, in the order that it claims."""
+REPORTED = {"proposed": 1e-3, "linear": 2.1, "damped": 3.11, "classic": 5.59}
+"""Fitness after 41 generations in the text of the paper, one run each."""
+READING_VARIANTS = (*CLAIMED, "authors_code")
+"""Variants that are measured in every reading of the paper."""
+METHOD_STYLES: dict[str, tuple[str, str]] = {
+    "proposed": ("#D55E00", "-"),
+    "linear": ("#0072B2", "-"),
+    "damped": ("#56B4E9", "--"),
+    "classic": ("#777777", "-"),
+    "Zhan's adaptive": ("#CC79A7", "-"),
+    "random": ("#777777", ":"),
+    "CMA-ES": ("#009E73", "-"),
+    "SciPy's DE": ("#000000", "--"),
+}
+"""Colour (Okabe and Ito) and line style of the methods in figures; tables have all methods."""
+Cost = Callable[[Array], Array]
+"""Values (n,) at positions (n, d)."""
+Method = Callable[[Cost, int, np.random.Generator], Any]
+"""Search in a number of dimensions with at least BUDGET evaluations of the cost."""
+
+
+def sphere(x: Array) -> Array:
+    """Compute the paper's function f_1, minimum 0."""
+    return np.asarray(np.square(x).sum(axis=1))
+
+
+def shifted_sphere(x: Array) -> Array:
+    """Compute the sphere about (6, -6, 6, ...), where contraction to the centre does not help."""
+    return sphere(x - 6.0 * (-1.0) ** np.arange(x.shape[1]))
+
+
+def ackley(x: Array) -> Array:
+    """Compute a wide funnel with shallow local minima, minimum 0."""
+    root, waves = np.sqrt(np.square(x).mean(axis=1)), np.cos(2 * math.pi * x).mean(axis=1)
+    return np.asarray(20 + math.e - 20 * np.exp(-0.2 * root) - np.exp(waves))
+
+
+def rosenbrock(x: Array) -> Array:
+    """Compute a curved valley, minimum 0 at (1, 1, ...)."""
+    along, across = 1 - x[:, :-1], x[:, 1:] - np.square(x[:, :-1])
+    return np.asarray((100 * np.square(across) + np.square(along)).sum(axis=1))
+
+
+def rastrigin(x: Array) -> Array:
+    """Compute a bowl with deep local minima at all integers, minimum 0."""
+    return np.asarray((10 + np.square(x) - 10 * np.cos(2 * math.pi * x)).sum(axis=1))
+
+
+class BenchmarkProblem(NamedTuple):
+    """A test function in a number of dimensions."""
+
+    function: Cost
+    dimensions: int
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return f"{self.function.__name__.replace('_', ' ')}, n = {self.dimensions}"
+
+
+PROBLEMS = (
+    BenchmarkProblem(sphere, 5),
+    BenchmarkProblem(sphere, 10),
+    BenchmarkProblem(sphere, 30),
+    BenchmarkProblem(shifted_sphere, 5),
+    BenchmarkProblem(ackley, 5),
+    BenchmarkProblem(ackley, 10),
+    BenchmarkProblem(rosenbrock, 5),
+    BenchmarkProblem(rastrigin, 5),
+)
+
+
+def swarm_search(
+    settings: PsoSettings, cost: Cost, dimensions: int, rng: np.random.Generator
+) -> None:
+    """Search with a swarm of this project."""
+    bounds = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(dimensions)]
+    minimize(cost, bounds, settings, rng, map_vectorized)
+
+
+def random_search(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
+    """Draw all positions uniformly."""
+    cost(rng.uniform(-BOUND, BOUND, (BUDGET, dimensions)))
+
+
+def cma_es(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
+    """Search with N. Hansen's CMA-ES from a random position, PARTICLES evaluations a generation."""
+    from cma import CMAEvolutionStrategy
+
+    settings = {
+        "bounds": [-BOUND, BOUND],
+        "popsize": PARTICLES,
+        "seed": int(rng.integers(1, 2**31)),
+        "verbose": -9,
+    }
+    strategy = CMAEvolutionStrategy(rng.uniform(-BOUND, BOUND, dimensions), FIRST_STEP, settings)
+    for _ in range(GENERATIONS + 1):
+        positions = strategy.ask()
+        strategy.tell(positions, cost(np.array(positions)).tolist())
+
+
+def differential_search(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
+    """Search with SciPy's differential evolution, PARTICLES evaluations a generation."""
+    limit = np.full(dimensions, BOUND)
+
+    def transposed(x: Array, /) -> Any:
+        return cost(x.T)
+
+    differential_evolution(
+        transposed,
+        Bounds(-limit, limit),
+        init=rng.uniform(-BOUND, BOUND, (PARTICLES, dimensions)),
+        maxiter=GENERATIONS,
+        tol=0,
+        polish=False,
+        updating="deferred",
+        vectorized=True,
+        rng=rng,
+    )
+
+
+def comparison_settings(variant: str, **changes: Any) -> VariantSettings:
+    """Return the settings that reproduce the paper's comparison: no velocity clamp."""
+    settings = {
+        "particles": PARTICLES,
+        "generations": GENERATIONS,
+        "schedule_length": SCHEDULE,
+        "max_velocity": math.inf,
+    }
+    return VariantSettings(variant=variant, **{**settings, **changes})
+
+
+FITTED = {"schedule_length": GENERATIONS, "max_velocity": 0.2}
+"""Recommended settings: the schedule ends with the run, velocities are clamped."""
+METHODS: dict[str, Method] = {
+    **{name: partial(swarm_search, comparison_settings(name)) for name in CLAIMED},
+    "fitted proposed": partial(swarm_search, comparison_settings("proposed", **FITTED)),
+    "fitted linear": partial(swarm_search, comparison_settings("linear", **FITTED)),
+    "Zhan's adaptive": partial(swarm_search, comparison_settings("adaptive", **FITTED)),
+    "random": random_search,
+    "CMA-ES": cma_es,
+    "SciPy's DE": differential_search,
+}
+if importlib.util.find_spec("cma") is None:
+    del METHODS["CMA-ES"]
+
+
+def search_curve(method: Method, problem: BenchmarkProblem, seed: int) -> Array:
+    """Return the best value after each PARTICLES evaluations, (GENERATIONS + 1,)."""
+    values: list[float] = []
+
+    def recorded(x: Array) -> Array:
+        answers = problem.function(x)
+        values.extend(answers.tolist())
+        return answers
+
+    method(recorded, problem.dimensions, np.random.default_rng(seed))
+    best = np.minimum.accumulate(values)
+    return np.asarray(best[PARTICLES - 1 : BUDGET : PARTICLES])
+
+
+def search_curves(method: Method, problem: BenchmarkProblem, seeds: Iterable[int]) -> Array:
+    """Return the curves of several seeds, (seeds, GENERATIONS + 1)."""
+    return np.array([search_curve(method, problem, seed) for seed in seeds])
+
+
+def readings() -> dict[str, dict[str, Any]]:
+    """Return the readings of the paper where it is silent or contradicts itself, by title.
+
+    The values are changes of `comparison_settings`.
+    """
+    changes: dict[str, dict[str, Any]] = {"G = 100, no clamp, clipped at the bounds": {}}
+    for G, origin in ((15, "Table 2"), (41, "the run itself"), (200, ""), (300, "")):
+        changes[f"G = {G}" + f" ({origin})" * bool(origin)] = {"schedule_length": G}
+    changes["velocity clamp 0.2 (authors' code)"] = {"max_velocity": 0.2}
+    changes["velocity clamp 1"] = {"max_velocity": 1.0}
+    changes["absorbed at the bounds"] = {"boundary": "absorb"}
+    changes["reflected at the bounds"] = {"boundary": "reflect"}
+    return changes
+
+
+def reading_medians(name: str, seeds: Iterable[int]) -> Array:
+    """Return the median final value of each of READING_VARIANTS under one reading."""
+    changes, seeds = readings()[name], list(seeds)
+    methods = [partial(swarm_search, comparison_settings(v, **changes)) for v in READING_VARIANTS]
+    finals = np.array([search_curves(method, PROBLEMS[0], seeds)[:, -1] for method in methods])
+    return np.asarray(np.median(finals, axis=1))
+
+
+def ordering_bars(median: Mapping[str, float]) -> dict[str, bool]:
+    """Check the medians of the CLAIMED variants on the sphere; return the result of each bar."""
+    proposed, linear, damped, classic = (median[name] for name in CLAIMED)
+    return {
+        "proposed < 0.1": proposed < 0.1,
+        "0.5 <= linear <= 5": 0.5 <= linear <= 5,
+        "0.5 <= damped <= 5": 0.5 <= damped <= 5,
+        "classic > 2": classic > 2,
+        "proposed < linear < classic": proposed < linear < classic,
+        "proposed < damped < classic": proposed < damped < classic,
+    }
+
+
+def all_bars_hold(median: Mapping[str, float]) -> bool:
+    """Check whether the medians pass all bars of the paper's claim."""
+    return all(ordering_bars(median).values())
