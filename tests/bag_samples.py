@@ -1,8 +1,7 @@
 """Messages for every topic of the contract, and bags of them."""
 
 import math
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -111,12 +110,3 @@ def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
             ros_message = deserialize_message(again, message_class(link.msgtype))
             found.append((link.topic, time_ns, ros_message))
     return found
-
-
-def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Waits until a condition holds, and gives the time when it did [s]."""
-    limit = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-    return time.time()

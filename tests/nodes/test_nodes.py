@@ -30,7 +30,7 @@ from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from sim_vehicle.nodes.simulator_node import TIMED_OUT, SimulatorNode
-from tests.ros_nodes import add, ros_context, spin_to_the_end, spin_until
+from tests.ros_nodes import add, connect, ros_context, spin_to_the_end, spin_until
 
 NODES: list[Callable[[], Any]] = [ControllerNode, PlannerNode, SimulatorNode]
 TICK_NS = NANOSECONDS // 10
@@ -67,6 +67,7 @@ class World(Node):
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.RELIABLE)
         self.create_subscription(DiagnosticArray, ros.DIAGNOSTICS, self.on_report, ros.RELIABLE)
         add(executor, self, node)
+        connect(executor, self, node)
 
     def on_command(self, message: JointState) -> None:
         """Note a command."""

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pytest
-from domain_coordinator import domain_id
 from rclpy.node import Node
 from visualization_msgs.msg import MarkerArray
 
@@ -87,15 +86,9 @@ def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def empty_graph() -> Iterator[None]:
-    """Leave the domain of the other tests, in which nodes that were killed are seen for a while."""
-    with domain_id() as number, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
-        yield
-
-
-@pytest.fixture(scope="module")
-def used(empty_graph: None, tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
+def used(
+    own_domain_of_module: None, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, set[str]]:
     """Give what each node uses in one of the two modes, or in both."""
     found: dict[str, set[str]] = {name: set() for name in NODES}
     for lock_step in (True, False):
