@@ -1,6 +1,5 @@
 """The nodes one by one: parameters, bad inputs, clocks, names, lost peers, no late compiling."""
 
-import multiprocessing
 import signal
 import sys
 from collections.abc import Callable
@@ -12,7 +11,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from numba.core.dispatcher import Dispatcher
 from rcl_interfaces.msg import ParameterType
 from rclpy.clock import ROSClock
 from rclpy.executors import SingleThreadedExecutor
@@ -30,6 +28,7 @@ from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from sim_vehicle.nodes.simulator_node import TIMED_OUT, SimulatorNode
+from tests.fresh_process import compiled_signatures, in_a_fresh_process
 from tests.ros_nodes import add, connect, ros_context, spin_to_the_end, spin_until
 
 NODES: list[Callable[[], Any]] = [ControllerNode, PlannerNode, SimulatorNode]
@@ -356,17 +355,6 @@ def test_the_simulator_refuses_commands_that_no_car_can_follow() -> None:
         assert simulator.unanswered() == [ros.STEERING_COMMAND, ros.TARGET_SPEED]
 
 
-def compiled_signatures() -> dict[str, int]:
-    """Count the compiled signatures of every function of our packages."""
-    return {
-        f"{module}.{name}": len(value.signatures)
-        for module, content in list(sys.modules.items())
-        if module.split(".")[0] in ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
-        for name, value in vars(content).items()
-        if isinstance(value, Dispatcher)
-    }
-
-
 MET = [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 12.0), (-3.0, 12.0), (-3.0, 9.0)]
 """Lateral position [m] and speed [m/s], a second apart; the last ones go on at ticks."""
 
@@ -418,5 +406,4 @@ def test_nothing_is_compiled_or_loaded_inside_a_tick(
     rows = "".join(f"{x},{y}\n" for x, y in STRAIGHT)
     (tmp_path / "road.csv").write_text("x_m,y_m\n" + rows, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    with multiprocessing.get_context("spawn").Pool(1) as fresh:
-        assert fresh.apply(compiled_within_ticks, [controller]) == {}
+    assert in_a_fresh_process(compiled_within_ticks, controller) == {}

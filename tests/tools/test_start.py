@@ -178,32 +178,30 @@ def test_when_a_node_is_killed_all_end_and_the_killed_one_is_named(
     assert "was killed" in json.loads((started.folder / "metrics.json").read_text())["ended"]
 
 
-def test_the_drive_goes_on_when_only_the_markers_are_killed(tmp_path: Path) -> None:
-    started = start_and_drive(tmp_path / "run")
-    os.kill(pid_of("markers", started), signal.SIGKILL)
-    before = recorded_states(started)
-    wait_for(lambda: recorded_states(started) > before + 2 * ENOUGH, period=0.1)
-    assert started.process.poll() is None
-    started.process.send_signal(signal.SIGINT)
-    said, _ = started.process.communicate(timeout=TIMEOUT)
-    assert started.process.returncode == 130
-    assert "killed" not in said
-    assert is_complete(started.folder / "bag")
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_ends_all_closes_the_bag_and_judges_what_was_driven(
-    number: signal.Signals, tmp_path: Path
-) -> None:
-    started = start_and_drive(tmp_path / "run")
+def interrupt(started: Started, number: signal.Signals) -> str:
+    """Interrupt a run twice, as an impatient user does; check what is left, return the output."""
     started.process.send_signal(number)
-    started.process.send_signal(number)  # an impatient user
+    started.process.send_signal(number)
     said, _ = started.process.communicate(timeout=TIMEOUT)
     assert started.process.returncode == 128 + number
     assert f"interrupted by {number.name}" in said
     assert processes(started.mark) == {}
     assert is_complete(started.folder / "bag")
     assert json.loads((started.folder / "metrics.json").read_text())["metrics"]["ticks"] >= ENOUGH
+    return said
+
+
+def test_the_drive_goes_on_without_markers_until_an_interrupt_ends_all(tmp_path: Path) -> None:
+    started = start_and_drive(tmp_path / "run")
+    os.kill(pid_of("markers", started), signal.SIGKILL)
+    before = recorded_states(started)
+    wait_for(lambda: recorded_states(started) > before + 2 * ENOUGH, period=0.1)
+    assert started.process.poll() is None
+    assert "killed" not in interrupt(started, signal.SIGINT)
+
+
+def test_a_terminated_run_ends_all_closes_the_bag_and_evaluates_the_drive(tmp_path: Path) -> None:
+    interrupt(start_and_drive(tmp_path / "run"), signal.SIGTERM)
 
 
 def test_the_nodes_end_with_a_killed_start_script_and_the_bag_is_closed(tmp_path: Path) -> None:

@@ -141,7 +141,9 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Project:
     return Project(root, ["tiny"], ["test_module"])
 
 
-def test_tests_that_import_a_module_come_before_those_of_its_importers(tiny: Project) -> None:
+def test_quick_tests_come_before_those_with_compilation_and_near_before_far_ones(
+    tiny: Project,
+) -> None:
     assert tiny.stages("tiny/tiny/module.py") == [
         Stage(("tests/test_module.py",), compiled=False),
         Stage(("tests/test_user.py",), compiled=True),

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
@@ -16,8 +17,10 @@ from typing import NamedTuple
 
 from tests.workshop.proofs.mutants import Mutant
 
-MOST_FILES = 8
+MOST_FILES = 6
 """Test files of a stage."""
+MOST_STAGES = 2
+"""Stages with compilation."""
 COMPILING = 150
 """Additional processor time of tests that have to compile mutated code [s]."""
 SPARE = 20
@@ -38,6 +41,17 @@ sys.exit(code)
 """
 """Runs pytest with a limit of its processor time, which no other process influences."""
 OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=0")
+
+
+RUNNING: set[int] = set()
+"""Process groups of the tests that run now."""
+
+
+def stop_all() -> None:
+    """Kill the tests that run now."""
+    for group in list(RUNNING):
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
 
 
 class Stage(NamedTuple):
@@ -121,22 +135,34 @@ class Project:
         """Return a file and all that import it, directly or not."""
         return {each for each in self.imports if file in self.closure(each)}
 
+    def distances(self, file: str) -> dict[str, int]:
+        """Return the test files that reach a module, with the number of imports on the way."""
+        reached, ring, distance = {file}, {file}, 0
+        result: dict[str, int] = {}
+        while ring:
+            distance += 1
+            for test, used in self.imports_of_tests.items():
+                if used & ring:
+                    result.setdefault(test, distance)
+            ring = {each for each, used in self.imports.items() if used & ring} - reached
+            ring = {each for each in ring if not each.startswith("tests/")}
+            reached |= ring
+        return result
+
     def stages(self, file: str) -> list[Stage]:
-        """Return the tests that import a module, then those that import one of its importers."""
+        """Return the tests of a module: uncompiled, then by the number of imports on the way."""
+        distances = self.distances(file)
 
-        def closeness(test: str) -> tuple[bool, int, str]:
+        def order(test: str) -> tuple[bool, int, int, str]:
             name = Path(test).stem != f"test_{Path(file).stem}"
-            return name, len(self.imports_of_tests[test]), test
+            return name, distances[test], len(self.imports_of_tests[test]), test
 
-        users = {each for each, used in self.imports.items() if file in used}
-        direct = [test for test, used in self.imports_of_tests.items() if file in used]
-        near = [test for test, used in self.imports_of_tests.items() if used & users]
-        quick = [test for test in direct if Path(test).stem in self.uncompiled]
-        groups = (quick, False), (set(direct) - set(quick), True), (set(near) - set(direct), True)
-        stages = [
-            Stage(tuple(sorted(files, key=closeness)[:MOST_FILES]), compiled)
-            for files, compiled in groups
-        ]
+        tests = sorted(distances, key=order)
+        quick = [test for test in tests if Path(test).stem in self.uncompiled][:MOST_FILES]
+        others = [test for test in tests if test not in quick]
+        stages = [Stage(tuple(quick), compiled=False)]
+        for first in range(0, MOST_STAGES * MOST_FILES, MOST_FILES):
+            stages.append(Stage(tuple(others[first : first + MOST_FILES]), compiled=True))
         return [stage for stage in stages if stage.files]
 
 
@@ -176,12 +202,14 @@ class Tree:
             text=True,
             start_new_session=True,
         )
+        RUNNING.add(process.pid)
         try:
             output, _ = process.communicate(timeout=10 * limit + 300)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
+            RUNNING.discard(process.pid)
         return process.returncode, output
 
 

@@ -1,14 +1,14 @@
 """Change the code in small ways, one at a time, and count how many changes the tests detect.
 
 `make mutation` draws a seeded sample of mutants of ampc_ros, sim_vehicle and ampc_msgs_config,
-equally many of each package, and runs the tests of the changed module against each mutant:
+equally many of each package, and runs tests that import the changed module against each mutant:
 
-1. tests that import the module and are quick without compilation, uncompiled;
-2. the other tests that import it;
-3. tests that import one of its direct importers.
+1. the nearest test files that are quick without compilation, uncompiled;
+2. the other test files with compilation, in two stages, the nearest first.
 
-The next stage runs only where the one before has detected nothing. Each stage has at most
-`MOST_FILES` files, those with the fewest imports first, so the detection rate is a lower bound.
+Near is a file that is named after the module, or imports it over few other modules. The next stage
+runs only where the one before has detected nothing. Each stage has at most `MOST_FILES` files, so
+the detection rate is a lower bound.
 
 Written: ampc_ros/doc/mutation.md (where all modules are sampled), and in the work folder
 results.jsonl, from which an interrupted run continues, and survivors.json. The exit code is 1 where
@@ -19,6 +19,7 @@ original code do not count.
 import argparse
 import json
 import random
+import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,7 +32,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from tests.markers import EQUATIONS
-from tests.workshop.proofs.mutant_trees import MOST_FILES, Baseline, Project, Worker
+from tests.workshop.proofs.mutant_trees import MOST_FILES, Baseline, Project, Worker, stop_all
 from tests.workshop.proofs.mutants import Mutant, mutants_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -147,8 +148,10 @@ def run_cases(cases: Sequence[Case], project: Project, work: Path, workers: int)
         try:
             for future in as_completed(futures):
                 yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            stop_all()
+            raise
 
 
 def load_results(file: Path) -> dict[str, str]:
@@ -212,9 +215,9 @@ HEADER = """# Mutation tests
 
 `make mutation` (seed {seed}) changes single operators, comparisons, constants, signs, booleans,
 return values and statements in functions of the three packages. Against each change it runs the
-tests that import the changed module, then those that import a direct importer, at most {files}
-files for each of three stages. Text, annotations, log calls and code at module and class level are
-not changed. A test process that exceeds its time counts as detected. This page is generated.
+nearest test files of the changed module, at most {files} in each of three stages. Text,
+annotations, log calls and code at module and class level are not changed. A test process that
+exceeds its time counts as detected. This page is generated.
 
 | package | mutants | sample | detected | of these by timeout | equivalent | survived | rate |
 |---|---|---|---|---|---|---|---|
@@ -238,8 +241,8 @@ def document(cases: Sequence[Case], totals: Mapping[str, int], seed: int) -> str
     text += "|---|---|---|---|---|---|\n"
     for file in sorted({case.file for case in cases}):
         result = count(case for case in cases if case.file == file)
-        row = (f"`{file}`", totals[file], result.sample, result.detected, result.equivalent)
-        text += f"| {' | '.join(map(str, row))} | {result.survived} |\n"
+        numbers = (totals[file], result.sample, result.detected, result.equivalent, result.survived)
+        text += f"| `{file}` | {' | '.join(map(str, numbers))} |\n"
     for case in sorted(cases):
         if case.outcome == "survived":
             text += f"\n`{case.file}:{case.mutant.line}`: {case.reason or 'not detected'}\n\n"
@@ -283,6 +286,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw a sample, run it, write the results; return the exit code."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     chosen, console = parse(arguments), Console(highlight=False, markup=False, soft_wrap=True)
     project = Project(ROOT, PACKAGES, EQUATIONS)
     try:
