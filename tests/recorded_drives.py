@@ -1,4 +1,4 @@
-"""Drives without ROS that leave the bag which the nodes would have left."""
+"""Bags of drives without ROS, with the messages that the nodes would have recorded."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ampc_ros.supervision.supervisor import Decision, Supervisor
 
 
 class Bag:
-    """A bag that grows message by message; a context manager."""
+    """A bag to which messages are appended; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         """Open a new bag."""
@@ -23,7 +23,7 @@ class Bag:
         self.now_ns = 0
 
     def __enter__(self) -> "Bag":
-        """Give the open bag."""
+        """Return the open bag."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -31,29 +31,29 @@ class Bag:
         self.recording.close()
 
     def add(self, topic: str, message: Any) -> None:
-        """Write a message at the time now, after all others."""
+        """Append a message, with a later log time than all others."""
         self.now_ns += 1000
         if topic not in self.recording.topics:
             self.recording.add_topic(topic, type_name_of(type(message)), [ros.RELIABLE])
         self.recording.write(topic, serialize_message(message), self.now_ns, self.now_ns)
 
     def configuration(self, supervisor: Supervisor) -> None:
-        """Write what a controller is made of."""
+        """Append the configuration of a controller."""
         text = to_yaml(supervisor.config, supervisor.number)
         self.add(f"/controller/{ros.CONFIGURATION}", String(data=text))
 
     def path(self, points: Any, stamp_ns: int) -> None:
-        """Write a reference."""
+        """Append a reference path."""
         self.add(f"/{ros.REFERENCE_PATH}", ros.path_message(points, stamp_ns))
 
     def state(self, state: VehicleState) -> VehicleState:
-        """Write a measured state; gives it as a subscriber reads it."""
+        """Append a measured state; return it as a subscriber receives it."""
         message = ros.odometry_message(state)
         self.add(f"/{ros.ODOM}", message)
         return ros.vehicle_state(message)
 
     def decision(self, decision: Decision, commands: int, *, tick: bool = True) -> None:
-        """Write a command, and with it how it came about."""
+        """Append a command, and the record of its tick unless `tick` is false."""
         command, supervision = decision
         self.add(f"/{ros.STEERING_COMMAND}", ros.steering_message(command))
         values = (*command.diagnosis, 0.001, 0.0, *supervision, 0, 0, commands)

@@ -36,8 +36,6 @@ from tests.bag_samples import (
 )
 from tests.waiting import TIMEOUT, wait_for
 
-TICKS = 200
-
 
 def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times() -> None:
     arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities={"/slack"})
@@ -109,11 +107,11 @@ def advertise(node: Node) -> dict[str, Publisher]:
     }
 
 
-def publish_fast(publishers: dict[str, Publisher]) -> None:
+def publish_fast(publishers: dict[str, Publisher], ticks: int) -> None:
     """Publishes 500 ticks a second, 50 times as fast as the clock that is published with them."""
     wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
     due = time.monotonic()
-    for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):
+    for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
         for name, publisher in publishers.items():
             if name not in LATCHED:
                 publisher.publish(sample(name, stamp_ns))
@@ -121,16 +119,16 @@ def publish_fast(publishers: dict[str, Publisher]) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("number", "ticks"), [(signal.SIGINT, 100), (signal.SIGTERM, 5)])
 def test_the_recorder_loses_nothing_and_ends_cleanly(
-    tmp_path: Path, number: signal.Signals
+    tmp_path: Path, number: signal.Signals, ticks: int
 ) -> None:
     with talker() as node:
         publishers = advertise(node)
         for name in LATCHED & publishers.keys():
             publishers[name].publish(sample(name, TICK_NS))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
-        publish_fast(publishers)
+        publish_fast(publishers, ticks)
         code, said = stop(recorder, number)
     found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in TRANSFORMS]
     assert read_with_rosbags(tmp_path / "bag") == found
@@ -140,13 +138,13 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
         assert [entry for entry in found if entry[0] == topic] == expected
     assert [entry for entry in found if entry[0] not in latched] == [
         (full(name), stamp_ns, sample(name, stamp_ns))
-        for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS)
+        for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS)
         for name in CONTRACT
         if name not in LATCHED
     ]
     assert code == 0
     assert said.count("recording to") == 1
-    recorded = len(found) + TICKS + 1, len(CONTRACT) + len(TRANSFORMS)
+    recorded = len(found) + ticks + 1, len(CONTRACT) + len(TRANSFORMS)
     assert "recorded {} messages on {} topics".format(*recorded) in said
     assert ", 0 missed at the start, 0 lost:" in said
 

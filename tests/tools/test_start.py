@@ -98,7 +98,9 @@ def recorded_states(started: Started) -> int:
 def start_and_drive(folder: Path) -> Started:
     """Start a long drive in real time, and wait until its beginning is on disk."""
     started = start_script(folder, "--real-time", "--controller", "pure_pursuit")
-    wait_for(lambda: recorded_states(started) >= ENOUGH, period=0.1)
+    log = folder / "log" / "planner.log"
+    wait_for(lambda: log.exists() and "the drive starts" in log.read_text())
+    wait_for(lambda: recorded_states(started) >= ENOUGH, period=0.3)
     return started
 
 
@@ -195,7 +197,7 @@ def test_the_drive_goes_on_without_markers_until_an_interrupt_ends_all(tmp_path:
     started = start_and_drive(tmp_path / "run")
     os.kill(pid_of("markers", started), signal.SIGKILL)
     before = recorded_states(started)
-    wait_for(lambda: recorded_states(started) > before + 2 * ENOUGH, period=0.1)
+    wait_for(lambda: recorded_states(started) > before + 2 * ENOUGH, period=0.3)
     assert started.process.poll() is None
     assert "killed" not in interrupt(started, signal.SIGINT)
 
