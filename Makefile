@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
 # Processes that run tests at the same time, a file at a time. Each has a ROS domain of its own.
 JOBS ?= 2
-PARALLEL = -n $(JOBS) --dist loadfile
+PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup dev demo test check uncompiled lint acceptance faults fuzz proofs mutation bench \
 	lock audit clean

@@ -24,6 +24,7 @@ from launch_scripts.tuning.report import NO_SINGLE, Candidate, Report
 from launch_scripts.tuning.search import Found, carry_out
 from launch_scripts.tuning.task import Job, jobs_of, nodes_of
 from launch_scripts.tuning.workers import Workers, open_workers
+from tests.waiting import TIMEOUT
 
 SMALL = ["--formulation", "paper", "--speeds", "3", "9", "--references", "5", "10"]
 SMALL += ["--particles", "4", "--seeds", "1"]
@@ -80,7 +81,7 @@ def test_a_search_that_was_killed_resumes_to_the_same_table_bit_for_bit(tmp_path
     assert tuned(tmp_path / "cut.yaml", "--generations", "30", "--resume") == whole
 
 
-def wait_for(condition: Callable[[], bool], patience: float = 100.0) -> bool:
+def wait_for(condition: Callable[[], bool], patience: float = TIMEOUT) -> bool:
     """Wait until a condition holds."""
     end = time.monotonic() + patience
     while time.monotonic() < end:

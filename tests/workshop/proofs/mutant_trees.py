@@ -41,8 +41,6 @@ sys.exit(code)
 """
 """Runs pytest with a limit of its processor time, which no other process influences."""
 OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=0")
-
-
 RUNNING: set[int] = set()
 """Process groups of the tests that run now."""
 
@@ -173,10 +171,12 @@ class Tree:
         """Copy the sources, with their times."""
         self.project, self.folder, self.cache = project, folder, folder.with_suffix(".cache")
         shutil.rmtree(folder, ignore_errors=True)
-        for name in {Path(file).parts[0] for file in project.modules.values()}:
-            shutil.copytree(project.root / name, folder / name, ignore=IGNORED)
-        for name in ("pyproject.toml", "Makefile", "setup.bash"):
-            if (project.root / name).exists():
+        names = sorted(each.name for each in project.root.iterdir())
+        for name in set(names) - IGNORED(str(project.root), names):
+            if (project.root / name).is_dir():
+                shutil.copytree(project.root / name, folder / name, ignore=IGNORED)
+            else:
+                folder.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(project.root / name, folder)
 
     def run(self, stage: Stage, limit: float) -> tuple[int, str]:
