@@ -37,10 +37,10 @@ LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST}
 
 
 class Viewer(Node):
-    """Drives, and looks at the pictures."""
+    """Publishes a drive, and subscribes to the pictures."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        """Be able to publish every input."""
+        """Create a publisher for every input."""
         super().__init__("viewer")
         self.all = executor
         self.time_ns = 0
@@ -55,7 +55,7 @@ class Viewer(Node):
         self.eye = self.create_subscription(MarkerArray, ros.MARKERS, self.see, ros.RELIABLE)
 
     def see(self, message: MarkerArray) -> None:
-        """Keep a picture."""
+        """Store a picture."""
         self.pictures.append({(each.ns, each.id): each for each in message.markers})
         assert len(self.pictures[-1]) == len(message.markers)
 
@@ -66,7 +66,7 @@ class Viewer(Node):
         self.says[ros.ODOM].publish(ros.odometry_message(state._replace(**changes)))
 
     def picture(self, **changes: Any) -> dict[tuple[str, int], Marker]:
-        """Drive until there is a picture of it; gives the newest."""
+        """Publish states until a picture of them arrives; return the newest."""
         seen = len(self.pictures)
 
         def drawn() -> bool:
@@ -77,7 +77,7 @@ class Viewer(Node):
         return self.pictures[-1]
 
     def picture_with(self, name: str, message: Any, key: tuple[str, int]) -> Marker:
-        """Say something until a picture shows it; gives its marker."""
+        """Publish a message until a picture shows it; return its marker."""
 
         def shown() -> bool:
             self.says[name].publish(message)
@@ -89,7 +89,7 @@ class Viewer(Node):
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    """Give a viewer that has not looked yet, beside a node that draws."""
+    """Create a viewer without a subscription, beside a marker node."""
     with ros_context() as executor:
         node = Viewer(executor)
         add(executor, node, MarkerNode())
@@ -97,7 +97,7 @@ def viewer() -> Iterator[Viewer]:
 
 
 def drawer(viewer: Viewer) -> MarkerNode:
-    """Give the node that draws."""
+    """Return the marker node."""
     return next(node for node in viewer.all.get_nodes() if isinstance(node, MarkerNode))
 
 
@@ -162,7 +162,7 @@ def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: View
 
 
 def rejects_more_than(node: MarkerNode, number: int) -> bool:
-    """Tell whether a node has refused more than so many inputs."""
+    """Check whether a node has rejected more than `number` inputs."""
     return node.rejected > number
 
 

@@ -38,21 +38,21 @@ AT_RUN_TIME = {"settings", "gain_table", "guard", "static_path", "qp_fault"}
 
 
 def odometry(stamp_ns: int, **changes: Any) -> Odometry:
-    """Give a state on the way beside a straight path, at 9 m/s, with some numbers changed."""
+    """Return a state beside a straight path, at 9 m/s, with some numbers changed."""
     x = 9.0 * (stamp_ns / NANOSECONDS % 40.0)
     state = VehicleState(stamp_ns, x, y=0.2, yaw=0.01, v_x=9.0, v_y=0.0, yaw_rate=0.0)
     return ros.odometry_message(state._replace(**changes))
 
 
 def path(points: Any = STRAIGHT, frame: str = ros.MAP) -> PathMessage:
-    """Give the message of a path."""
+    """Return the message of a path."""
     message = ros.path_message(np.array(points), 0)
     message.header.frame_id = frame
     return message
 
 
 class World(Node):
-    """What surrounds a node: publishes its inputs, and hears its commands and reports."""
+    """Publishes the inputs of a node, and stores its commands and reports."""
 
     def __init__(self, executor: SingleThreadedExecutor, node: Node) -> None:
         """Wait until both are connected."""
@@ -69,15 +69,15 @@ class World(Node):
         connect(executor, self, node)
 
     def on_command(self, message: JointState) -> None:
-        """Note a command."""
+        """Store a command."""
         self.commands.append(ros.steering_angle(message))
 
     def on_report(self, message: DiagnosticArray) -> None:
-        """Note a report."""
+        """Store a report."""
         self.reports.extend(message.status)
 
     def next_report(self, node: Any) -> DiagnosticStatus:
-        """Ask a node for a report, and give it."""
+        """Request a report of a node and return it."""
         node.on_diagnostics()
         known = len(self.reports)
         self.spin_until(lambda: len(self.reports) > known)
@@ -90,7 +90,7 @@ class World(Node):
         self.spin_until(lambda: bool(node.now_ns == stamp_ns))
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
-        """Let all nodes run."""
+        """Run all nodes until a condition holds."""
         spin_until(self.executor_of_all, condition)
 
 
@@ -360,7 +360,7 @@ MET = [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 12.0), (-3.0, 12.0), (-3.0, 9
 
 
 def compiled_within_ticks(controller: str) -> dict[str, int]:
-    """Give what a fresh process compiles after its nodes have been made: nothing, one hopes."""
+    """Return the functions that a fresh process compiles after its nodes are created."""
     given = {"controller": controller, "path": "road.csv", "speed": 8.0, "use_sim_time": "true"}
     with ros_context(**given) as executor:
         nodes = ControllerNode(), PlannerNode(), SimulatorNode()

@@ -42,7 +42,7 @@ time, to that of later ones."""
 
 
 def compiled_after_warm_up(name: str, settings: Path) -> dict[str, int]:
-    """Give the functions that random drives compile after the warm-up."""
+    """Return the functions that random drives compile after the warm-up."""
     rng = np.random.default_rng(7)
     controller = make_controller(Choices(controller=name, settings=str(settings)))
     warm_up(controller)

@@ -38,7 +38,7 @@ LARGEST_FILE = 2_000_000
 
 
 def dated(arrivals: Arrivals) -> dict[str, int]:
-    """Takes all that waits; gives the log time of each topic's last message [ns]."""
+    """Take all waiting messages; return the log time of each topic's last message [ns]."""
     return {arrival.topic: time_ns for arrival, time_ns in arrivals.take_all_before(2**63)}
 
 
@@ -137,14 +137,14 @@ def test_what_came_before_the_simulated_clock_gets_the_time_of_its_start(tmp_pat
 
 
 def publish_until_recorded(publisher: Publisher, message: Any, bag: Path) -> None:
-    """Publishes a message again and again until the bag holds it: both ends know each other."""
+    """Publish a message repeatedly until the bag contains it: both ends are matched."""
     while not list(read(bag)):
         publisher.publish(message)
         time.sleep(0.1)
 
 
 def transforms(bag: Path) -> dict[str, list[Any]]:
-    """Gives the transforms of a bag by topic."""
+    """Return the transforms of a bag by topic."""
     found: dict[str, list[Any]] = {"/tf": [], "/tf_static": []}
     with AnyReader([bag]) as reader:
         for link in reader.connections:

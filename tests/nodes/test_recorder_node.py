@@ -66,7 +66,7 @@ def test_messages_without_a_clock_are_kept_until_the_end() -> None:
 
 @contextmanager
 def talker() -> Iterator[Node]:
-    """Gives a node of this process that publishes."""
+    """Create a node that publishes, in a ROS context of its own."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node: Any = rclpy.create_node("talker", context=context)
@@ -76,7 +76,7 @@ def talker() -> Iterator[Node]:
 
 
 def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder."""
+    """Start the recorder."""
     command = [sys.executable, "-m", "ampc_msgs_config.nodes.recorder_node", "--ros-args"]
     for parameter in parameters:
         command += ["-p", parameter]
@@ -84,21 +84,21 @@ def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
 
 
 def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
-    """Starts the recorder; gives its process once it is ready."""
+    """Start the recorder, wait until it is ready, return its process."""
     process = popen_recorder(f"output:={bag}", *parameters)
     wait_for((bag / "metadata.yaml").exists)
     return process
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
-    """Ends a process by a signal; gives its exit code and all that it said."""
+    """End a process by a signal; return its exit code and output."""
     process.send_signal(number)
     said, _ = process.communicate(timeout=TIMEOUT)
     return process.returncode, said
 
 
 def advertise(node: Node) -> dict[str, Publisher]:
-    """Gives a publisher for each topic of the contract."""
+    """Create a publisher for each topic of the contract."""
     return {
         name: node.create_publisher(
             message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
@@ -108,7 +108,7 @@ def advertise(node: Node) -> dict[str, Publisher]:
 
 
 def publish_fast(publishers: dict[str, Publisher], ticks: int) -> None:
-    """Publishes 500 ticks a second, 50 times as fast as the clock that is published with them."""
+    """Publish 500 ticks a second, 50 times as fast as the clock that is published with them."""
     wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
     due = time.monotonic()
     for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):

@@ -61,7 +61,7 @@ def start_script(folder: Path, *options: str) -> Started:
 
 
 def run(folder: Path, *options: str) -> tuple[int, str]:
-    """Run the script to its end; gives exit code and output."""
+    """Run the script to its end; return exit code and output."""
     started = start_script(folder, *options)
     said, _ = started.process.communicate(timeout=TIMEOUT)
     assert processes(started.mark) == {}
@@ -69,7 +69,7 @@ def run(folder: Path, *options: str) -> tuple[int, str]:
 
 
 def processes(mark: str) -> dict[int, str]:
-    """Give the command lines of the living processes that carry a mark, by their id."""
+    """Return the command lines of the living processes that carry a mark, by their id."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -81,7 +81,7 @@ def processes(mark: str) -> dict[int, str]:
 
 
 def pid_of(node: str, started: Started) -> int:
-    """Give the id of a node's process."""
+    """Return the id of a node's process."""
     found = [pid for pid, line in processes(started.mark).items() if MODULES[node] in line]
     assert len(found) == 1
     return found[0]
@@ -105,7 +105,7 @@ def start_and_drive(folder: Path) -> Started:
 
 
 def drive_offline(scenario: str, controller: str) -> tuple[list[object], list[float]]:
-    """Give states and commands of the same drive without ROS."""
+    """Return states and commands of the same drive without ROS."""
     vehicle = load_vehicle(find("vehicles", "paper"))
     car = Simulation(vehicle, load_scenario(scenario, vehicle.size))
     offline = drive(car, make_controller(Choices(controller=controller)))
