@@ -1,8 +1,7 @@
 """Messages for every topic of the contract, and bags of them."""
 
 import math
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -144,12 +143,3 @@ def read_with_rosbags(bag: Path) -> list[tuple[str, int, Any]]:
             ros_message = deserialize_message(again, message_class(link.msgtype))
             found.append((link.topic, time_ns, ros_message))
     return found
-
-
-def wait_for(condition: Callable[[], bool], patience: float = 15.0) -> float:
-    """Wait until a condition holds, and return the time when it does [s]."""
-    limit = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-    return time.time()

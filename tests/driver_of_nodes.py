@@ -1,4 +1,4 @@
-"""Who manages a controller by its services, drives it along a circle, and hears what it says."""
+"""A node that manages a controller by its services, and publishes a drive along a circle."""
 
 import time
 from collections.abc import Callable
@@ -19,20 +19,26 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.nodes.controller_node import ControllerNode
 from tests.ros_nodes import add, spin_until
+from tests.waiting import SCALE
 
 CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])
-LOST_ANSWER = 3.0
+LOST_ANSWER = 5.0 * SCALE
 """Wall time after which a service is called again [s]."""
 OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
 
 
 class Driver(Node):
-    """Manages a controller by its services, gives it a drive, and hears what it says."""
+    """Manages a controller by its services, publishes a drive, and stores the output."""
 
     node: ControllerNode
 
     def __init__(self, executor: SingleThreadedExecutor, *nodes: ControllerNode) -> None:
-        """Join the graph, together with the controller where it runs in this process."""
+        """Create publishers, subscriptions and clients.
+
+        Args:
+            executor: Executor of all nodes of the test.
+            nodes: The controller where it runs in this process.
+        """
         super().__init__("driver")
         self.executor_of_all = executor
         for self.node in nodes:
@@ -47,7 +53,9 @@ class Driver(Node):
             JointState, ros.STEERING_COMMAND, self.commands.append, ros.COMMAND
         )
         self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop, ros.LATCHED)
-        self.create_subscription(String, "controller/configuration", self.on_made, ros.LATCHED)
+        self.create_subscription(
+            String, "controller/configuration", self.on_configuration, ros.LATCHED
+        )
         self.paths.publish(ros.path_message(CIRCLE, self.first_ns))
         self.changing = self.create_client(ChangeState, "controller/change_state")
         self.asking = self.create_client(GetState, "controller/get_state")
@@ -55,19 +63,23 @@ class Driver(Node):
 
     @property
     def now_ns(self) -> int:
-        """Time [ns]."""
+        """Time of the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def on_stop(self, message: Bool) -> None:
-        """Note a request."""
+        """Store a request to stop."""
         self.stops.append(message.data)
 
-    def on_made(self, message: String) -> None:
-        """Note a configuration."""
+    def on_configuration(self, message: String) -> None:
+        """Store a configuration."""
         self.config.append(message.data)
 
     def answer(self, client: Any, request: Any) -> Any:
-        """Call a service; as a new client where the answer is lost, as the node did not know us."""
+        """Call a service and return its response.
+
+        A node that has not discovered the client yet drops its response. After some time the
+        service is called again, by a new client.
+        """
         spin_until(self.executor_of_all, client.service_is_ready)
         futures = [client.call_async(request)]
         until = time.monotonic() + LOST_ANSWER
@@ -84,17 +96,17 @@ class Driver(Node):
         return next(future.result() for future in futures if future.done())
 
     def change(self, transition: int) -> bool:
-        """Ask for a transition; tells whether it succeeded."""
-        self.state()  # once that is answered, the node knows this client as well
+        """Request a transition; return whether it succeeded."""
+        self.state()  # once that is answered, the node has discovered the other client, too
         request = ChangeState.Request(transition=Transition(id=transition))
         return bool(self.answer(self.changing, request).success)
 
     def state(self) -> str:
-        """Ask for the state."""
+        """Return the state of the controller."""
         return str(self.answer(self.asking, GetState.Request()).current_state.label)
 
     def drive(self) -> VehicleState:
-        """Publish a state on the circle, at 9 m/s, as old as the test."""
+        """Publish the state on the circle at this time of the test, at 9 m/s."""
         s = 9.0 * (self.now_ns - self.first_ns) / NANOSECONDS % 80.0
         x, y, yaw = 30.0 * np.sin(s / 30.0), 30.0 - 30.0 * np.cos(s / 30.0), s / 30.0
         state = VehicleState(self.now_ns, float(x), float(y), float(yaw), 9.0, 0.0, 0.3)
@@ -111,22 +123,22 @@ class Driver(Node):
         spin_until(self.executor_of_all, driven)
 
     def drive_for(self, commands: int) -> list[float]:
-        """Drive until that many more commands have come; gives their angles."""
+        """Publish states until that many more commands have arrived; return their angles [rad]."""
         known = len(self.commands)
         self.drive_until(lambda: len(self.commands) >= known + commands)
         return [message.position[0] for message in self.commands[known:]]
 
     def topics(self) -> set[str]:
-        """Give the topics on which the controller publishes."""
+        """Return those of `OURS` on which the controller publishes."""
         return {each.topic_name for each in self.node.publishers} & OURS
 
 
 def largest_step(angles: list[float]) -> float:
-    """Give the largest change from one command to the next [rad]."""
+    """Return the largest change from one command to the next [rad]."""
     return float(np.abs(np.diff(angles)).max())
 
 
 def set_parameter(node: ControllerNode, name: str, value: Any) -> None:
-    """Set a parameter as a service call would; it has to succeed."""
+    """Set a parameter as a service call does, and check that this succeeds."""
     (result,) = node.set_parameters([Parameter(name, value=value)])
     assert result.successful, result.reason

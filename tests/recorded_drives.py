@@ -1,4 +1,4 @@
-"""Drives without nodes, written to the same bag as a drive with nodes."""
+"""Bags of drives without ROS, with the messages that the nodes would have recorded."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ampc_ros.supervision.supervisor import Supervisor
 
 
 class Bag:
-    """A new bag, written message by message; a context manager."""
+    """A bag to which messages are appended; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         """Open a new bag."""
@@ -31,23 +31,23 @@ class Bag:
         self.recording.close()
 
     def add(self, topic: str, message: Any) -> None:
-        """Write a message at a later time than all others."""
+        """Append a message, with a later log time than all others."""
         self.now_ns += 1000
         if topic not in self.recording.topics:
             self.recording.add_topic(topic, type_name_of(type(message)))
         self.recording.write(topic, serialize_message(message), self.now_ns, self.now_ns)
 
     def configuration(self, supervisor: Supervisor) -> None:
-        """Write the configuration of a controller."""
+        """Append the configuration of a controller."""
         text = to_yaml(supervisor.config, supervisor.number)
         self.add(f"/controller/{ros.CONFIGURATION}", String(data=text))
 
     def path(self, points: Any, stamp_ns: int) -> None:
-        """Write a reference path."""
+        """Append a reference path."""
         self.add(f"/{ros.REFERENCE_PATH}", ros.path_message(points, stamp_ns))
 
     def state(self, state: VehicleState) -> VehicleState:
-        """Write a measured state; return it as a subscriber receives it."""
+        """Append a measured state; return it as a subscriber receives it."""
         message = ros.odometry_message(state)
         self.add(f"/{ros.ODOM}", message)
         return ros.vehicle_state(message)

@@ -12,7 +12,7 @@ TICK_NS = NANOSECONDS // 50
 
 
 def state(tick: int, v_x: float = 12.0) -> VehicleState:
-    """Give a state."""
+    """Return a state."""
     return VehicleState(tick * TICK_NS, 0.0, 0.0, 0.0, v_x, 0.0, 0.0)
 
 

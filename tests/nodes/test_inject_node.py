@@ -41,7 +41,7 @@ faults:
 
 
 class Listener(Node):
-    """Records the commands and tick messages."""
+    """Subscribes to the commands and the records of the ticks."""
 
     def __init__(self) -> None:
         """Subscribe."""
@@ -52,11 +52,11 @@ class Listener(Node):
         self.create_subscription(JointState, ros.TICK, self.on_tick, ros.RELIABLE)
 
     def on_command(self, message: JointState) -> None:
-        """Append a command."""
+        """Store a command."""
         self.commands.append(message.position[0])
 
     def on_tick(self, message: JointState) -> None:
-        """Append a tick."""
+        """Store the record of a tick."""
         self.ticks.append(dict(zip(message.name, message.position, strict=True)))
 
 

@@ -13,6 +13,7 @@ from ampc_msgs_config.nodes import base_node
 from ampc_ros.nodes.controller_node import ControllerNode
 from tests.driver_of_nodes import Driver
 from tests.ros_nodes import ros_context, spin_until
+from tests.waiting import TIMEOUT
 
 pytestmark = pytest.mark.usefixtures("own_domain")
 
@@ -47,7 +48,7 @@ def test_a_signal_to_a_steering_controller_leaves_the_last_angle_and_a_requested
         driver.drive_until(lambda: driver.stops[-1:] == [True])
         spin_until(executor, lambda: driver.commands[-1].velocity[0] == 0.0)
         assert driver.commands[-1].position[0] == driver.commands[-2].position[0] != 0.0
-        said, _ = process.communicate(timeout=20)
+        said, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 0
     assert "Traceback" not in said
 
@@ -64,7 +65,7 @@ def test_a_signal_to_a_controller_that_does_not_steer_ends_it_without_a_word(
         if state == "inactive":
             assert driver.change(Transition.TRANSITION_CONFIGURE)
         process.send_signal(number)
-        said, _ = process.communicate(timeout=20)
+        said, _ = process.communicate(timeout=TIMEOUT)
         assert (driver.commands, driver.stops) == ([], [])
     assert process.returncode == 0
     assert "Traceback" not in said

@@ -43,7 +43,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def started(launch_file: Any) -> dict[str, set[str]]:
-    """Give the names of the parameters of each executable that the launch file starts."""
+    """Return the names of the parameters of each executable that the launch file starts."""
     calls = [call.kwargs for call in launch_file.Node.call_args_list]
     return {call["executable"]: set(call["parameters"][0]) for call in calls}
 

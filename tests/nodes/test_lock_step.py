@@ -48,7 +48,7 @@ CASES = [
 
 
 def name_of(case: Case) -> str:
-    """Give the name of a test."""
+    """Return the name of a test."""
     return "-".join(map(str, filter(None, case)))
 
 
@@ -62,7 +62,7 @@ class Heard(NamedTuple):
 
 
 class Listener(Node):
-    """Hears what the nodes say to each other."""
+    """Subscribes to the topics of the nodes."""
 
     def __init__(self) -> None:
         """Subscribe."""
@@ -75,19 +75,19 @@ class Listener(Node):
         self.create_subscription(PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED)
 
     def on_odometry(self, message: Odometry) -> None:
-        """Note a state."""
+        """Store a state."""
         self.heard.states.append(ros.vehicle_state(message))
 
     def on_steering(self, message: JointState) -> None:
-        """Note a command."""
+        """Store a command."""
         self.heard.commands.append(ros.steering_angle(message))
 
     def on_report(self, message: DiagnosticArray) -> None:
-        """Note the stamp of a report."""
+        """Store the stamp of a report."""
         self.heard.reports_ns.append(ros.nanoseconds(message.header.stamp))
 
     def on_path(self, message: PathMessage) -> None:
-        """Note the stamp of a path."""
+        """Store the stamp of a path."""
         self.heard.paths_ns.append(ros.nanoseconds(message.header.stamp))
 
 
@@ -112,7 +112,7 @@ def drive_offline(case: Case) -> Drive:
 
 
 def choices_of(case: Case) -> Choices:
-    """Give what the parameters of the node choose in lock-step."""
+    """Return the choices that the parameters of the node make in lock-step."""
     return Choices(
         controller=case.controller, guard=case.guard, static_path=True, simulated_time=True
     )

@@ -37,7 +37,7 @@ LATCHED = {ros.REFERENCE_PATH, ros.STOP_REQUEST}
 
 
 class Viewer(Node):
-    """Publishes a drive and receives the pictures."""
+    """Publishes a drive, and subscribes to the pictures."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         """Create a publisher for every input."""
@@ -55,7 +55,7 @@ class Viewer(Node):
         self.eye = self.create_subscription(MarkerArray, ros.MARKERS, self.see, ros.RELIABLE)
 
     def see(self, message: MarkerArray) -> None:
-        """Keep a picture."""
+        """Store a picture."""
         self.pictures.append({(each.ns, each.id): each for each in message.markers})
         assert len(self.pictures[-1]) == len(message.markers)
 
@@ -66,7 +66,7 @@ class Viewer(Node):
         self.inputs[ros.ODOM].publish(ros.odometry_message(state._replace(**changes)))
 
     def picture(self, **changes: Any) -> dict[tuple[str, int], Marker]:
-        """Drive until a picture arrives; return the newest."""
+        """Publish states until a picture of them arrives; return the newest."""
         seen = len(self.pictures)
 
         def drawn() -> bool:
@@ -89,7 +89,7 @@ class Viewer(Node):
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    """Return a viewer without subscription, beside a marker node."""
+    """Create a viewer without a subscription, beside a marker node."""
     with ros_context() as executor:
         node = Viewer(executor)
         add(executor, node, MarkerNode())
@@ -162,7 +162,7 @@ def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: View
 
 
 def rejects_more_than(node: MarkerNode, number: int) -> bool:
-    """Return whether a node has rejected more than so many inputs."""
+    """Check whether a node has rejected more than `number` inputs."""
     return node.rejected > number
 
 

@@ -1,6 +1,5 @@
 """The nodes one by one: parameters, bad inputs, clocks, names, lost peers, no late compiling."""
 
-import multiprocessing
 import signal
 import sys
 from collections.abc import Callable
@@ -12,7 +11,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from numba.core.dispatcher import Dispatcher
 from rcl_interfaces.msg import ParameterType
 from rclpy.clock import ROSClock
 from rclpy.executors import SingleThreadedExecutor
@@ -30,7 +28,8 @@ from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from sim_vehicle.nodes.simulator_node import TIMED_OUT, SimulatorNode
-from tests.ros_nodes import add, ros_context, spin_to_the_end, spin_until
+from tests.fresh_process import compiled_signatures, in_a_fresh_process
+from tests.ros_nodes import add, connect, ros_context, spin_to_the_end, spin_until
 
 NODES: list[Callable[[], Any]] = [ControllerNode, PlannerNode, SimulatorNode]
 TICK_NS = NANOSECONDS // 10
@@ -39,21 +38,21 @@ AT_RUN_TIME = {"settings", "gain_table", "guard", "static_path", "qp_fault"}
 
 
 def odometry(stamp_ns: int, **changes: Any) -> Odometry:
-    """Give a state on the way beside a straight path, at 9 m/s, with some numbers changed."""
+    """Return a state beside a straight path, at 9 m/s, with some numbers changed."""
     x = 9.0 * (stamp_ns / NANOSECONDS % 40.0)
     state = VehicleState(stamp_ns, x, y=0.2, yaw=0.01, v_x=9.0, v_y=0.0, yaw_rate=0.0)
     return ros.odometry_message(state._replace(**changes))
 
 
 def path(points: Any = STRAIGHT, frame: str = ros.MAP) -> PathMessage:
-    """Give the message of a path."""
+    """Return the message of a path."""
     message = ros.path_message(np.array(points), 0)
     message.header.frame_id = frame
     return message
 
 
 class World(Node):
-    """What surrounds a node: publishes its inputs, and hears its commands and reports."""
+    """Publishes the inputs of a node, and stores its commands and reports."""
 
     def __init__(self, executor: SingleThreadedExecutor, node: Node) -> None:
         """Wait until both are connected."""
@@ -67,17 +66,18 @@ class World(Node):
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.RELIABLE)
         self.create_subscription(DiagnosticArray, ros.DIAGNOSTICS, self.on_report, ros.RELIABLE)
         add(executor, self, node)
+        connect(executor, self, node)
 
     def on_command(self, message: JointState) -> None:
-        """Note a command."""
+        """Store a command."""
         self.commands.append(ros.steering_angle(message))
 
     def on_report(self, message: DiagnosticArray) -> None:
-        """Note a report."""
+        """Store a report."""
         self.reports.extend(message.status)
 
     def next_report(self, node: Any) -> DiagnosticStatus:
-        """Ask a node for a report, and give it."""
+        """Request a report of a node and return it."""
         node.on_diagnostics()
         known = len(self.reports)
         self.spin_until(lambda: len(self.reports) > known)
@@ -90,7 +90,7 @@ class World(Node):
         self.spin_until(lambda: bool(node.now_ns == stamp_ns))
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
-        """Let all nodes run."""
+        """Run all nodes until a condition holds."""
         spin_until(self.executor_of_all, condition)
 
 
@@ -355,23 +355,12 @@ def test_the_simulator_refuses_commands_that_no_car_can_follow() -> None:
         assert simulator.unanswered() == [ros.STEERING_COMMAND, ros.TARGET_SPEED]
 
 
-def compiled_signatures() -> dict[str, int]:
-    """Count the compiled signatures of every function of our packages."""
-    return {
-        f"{module}.{name}": len(value.signatures)
-        for module, content in list(sys.modules.items())
-        if module.split(".")[0] in ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
-        for name, value in vars(content).items()
-        if isinstance(value, Dispatcher)
-    }
-
-
 MET = [(0.2, 9.0), (0.2, 9.0), (6.0, 30.0), (-3.0, 12.0), (-3.0, 12.0), (-3.0, 9.0)]
 """Lateral position [m] and speed [m/s], a second apart; the last ones go on at ticks."""
 
 
 def compiled_within_ticks(controller: str) -> dict[str, int]:
-    """Give what a fresh process compiles after its nodes have been made: nothing, one hopes."""
+    """Return the functions that a fresh process compiles after its nodes are created."""
     given = {"controller": controller, "path": "road.csv", "speed": 8.0, "use_sim_time": "true"}
     with ros_context(**given) as executor:
         nodes = ControllerNode(), PlannerNode(), SimulatorNode()
@@ -417,5 +406,4 @@ def test_nothing_is_compiled_or_loaded_inside_a_tick(
     rows = "".join(f"{x},{y}\n" for x, y in STRAIGHT)
     (tmp_path / "road.csv").write_text("x_m,y_m\n" + rows, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    with multiprocessing.get_context("spawn").Pool(1) as fresh:
-        assert fresh.apply(compiled_within_ticks, [controller]) == {}
+    assert in_a_fresh_process(compiled_within_ticks, controller) == {}

@@ -27,16 +27,17 @@ from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.recover import main
-from tests.bag_samples import TICK_NS, read, sample, wait_for
+from tests.bag_samples import TICK_NS, read, sample
 from tests.nodes.test_recorder_node import popen_recorder, start_recorder, stop, talker
 from tests.ros_nodes import add, ros_context, spin_until
+from tests.waiting import TIMEOUT, wait_for
 
 LARGEST_FILE = 2_000_000
 """File size limit that still lets the middleware create its shared memory [bytes]."""
 
 
 def dated(arrivals: Arrivals) -> dict[str, int]:
-    """Remove all messages; return the log time of each topic's last message [ns]."""
+    """Take all waiting messages; return the log time of each topic's last message [ns]."""
     return {arrival.topic: time_ns for arrival, time_ns in arrivals.take_all_before(2**63)}
 
 
@@ -99,9 +100,10 @@ def test_a_kill_before_the_simulated_clock_starts_loses_less_than_a_second(tmp_p
         settings.publish(String(data="number: 1"))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         wait_for(lambda: odom.get_subscription_count() > 0)
-        until = time.monotonic() + 2.0
-        while time.monotonic() < until:
+        begin, published = time.monotonic(), 0
+        while published < 100 or time.monotonic() < begin + 2.0:
             odom.publish(sample(ros.ODOM, time.time_ns()))
+            published += 1
             time.sleep(0.01)
         killed_ns = time.time_ns()
         recorder.kill()
@@ -134,7 +136,7 @@ def test_messages_before_the_simulated_clock_get_the_time_of_its_start(tmp_path:
 
 
 def publish_until_recorded(publisher: Publisher, message: Any, bag: Path) -> None:
-    """Publish a message repeatedly until the bag contains it: discovery is complete then."""
+    """Publish a message repeatedly until the bag contains it: both ends are matched."""
     while not list(read(bag)):
         publisher.publish(message)
         time.sleep(0.1)
@@ -258,7 +260,7 @@ def test_transforms_of_others_take_the_place_of_those_from_odometry(
 def test_a_second_recorder_in_the_same_folder_overwrites_nothing(tmp_path: Path) -> None:
     recorder = start_recorder(tmp_path / "bag")
     second = popen_recorder(f"output:={tmp_path / 'bag'}")
-    said, _ = second.communicate(timeout=60)
+    said, _ = second.communicate(timeout=TIMEOUT)
     complaint = f"{tmp_path / 'bag'}: holds a bag already, and bags are never overwritten"
     assert (second.returncode, said) == (2, f"error: {complaint}\n")
     assert stop(recorder, signal.SIGINT)[0] == 0

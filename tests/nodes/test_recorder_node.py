@@ -48,12 +48,10 @@ from tests.bag_samples import (
     read,
     read_with_rosbags,
     sample,
-    wait_for,
     write_bag,
 )
 from tests.ros_nodes import add, ros_context
-
-TICKS = 200
+from tests.waiting import TIMEOUT, wait_for
 
 
 def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times() -> None:
@@ -132,7 +130,7 @@ def test_plain_qos_is_what_rosbag2_writes() -> None:
 
 @contextmanager
 def talker() -> Iterator[Node]:
-    """Create a node of this process that publishes."""
+    """Create a node that publishes, in a ROS context of its own."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node: Any = rclpy.create_node("talker", context=context)
@@ -150,21 +148,21 @@ def popen_recorder(*parameters: str) -> subprocess.Popen[str]:
 
 
 def start_recorder(bag: Path, *parameters: str) -> subprocess.Popen[str]:
-    """Start the recorder; return its process when it is ready."""
+    """Start the recorder, wait until it is ready, return its process."""
     process = popen_recorder(f"output:={bag}", *parameters)
     wait_for((bag / "metadata.yaml").exists)
     return process
 
 
 def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
-    """End a process by a signal; return its exit code and its output."""
+    """End a process by a signal; return its exit code and output."""
     process.send_signal(number)
-    said, _ = process.communicate(timeout=10)
+    said, _ = process.communicate(timeout=TIMEOUT)
     return process.returncode, said
 
 
 def advertise(node: Node) -> dict[str, Publisher]:
-    """Return a publisher for each topic of the contract."""
+    """Create a publisher for each topic of the contract."""
     return {
         name: node.create_publisher(
             message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
@@ -173,11 +171,11 @@ def advertise(node: Node) -> dict[str, Publisher]:
     }
 
 
-def publish_fast(publishers: dict[str, Publisher]) -> None:
+def publish_fast(publishers: dict[str, Publisher], ticks: int) -> None:
     """Publish 500 ticks a second, 50 times as fast as the clock that is published with them."""
     wait_for(lambda: all(p.get_subscription_count() for p in publishers.values()))
     due = time.monotonic()
-    for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS):
+    for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
         for name, publisher in publishers.items():
             if name not in LATCHED:
                 publisher.publish(sample(name, stamp_ns))
@@ -185,16 +183,16 @@ def publish_fast(publishers: dict[str, Publisher]) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("number", "ticks"), [(signal.SIGINT, 100), (signal.SIGTERM, 5)])
 def test_the_recorder_loses_nothing_and_ends_cleanly(
-    tmp_path: Path, number: signal.Signals
+    tmp_path: Path, number: signal.Signals, ticks: int
 ) -> None:
     with talker() as node:
         publishers = advertise(node)
         for name in LATCHED & publishers.keys():
             publishers[name].publish(sample(name, TICK_NS))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
-        publish_fast(publishers)
+        publish_fast(publishers, ticks)
         code, said = stop(recorder, number)
     found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in TRANSFORMS]
     assert read_with_rosbags(tmp_path / "bag") == found
@@ -204,13 +202,13 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
         assert [entry for entry in found if entry[0] == topic] == expected
     assert [entry for entry in found if entry[0] not in latched] == [
         (full(name), stamp_ns, sample(name, stamp_ns))
-        for stamp_ns in range(TICK_NS, (TICKS + 1) * TICK_NS, TICK_NS)
+        for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS)
         for name in CONTRACT
         if name not in LATCHED
     ]
     assert code == 0
     assert said.count("recording to") == 1
-    recorded = len(found) + TICKS + 1, len(CONTRACT) + len(TRANSFORMS)
+    recorded = len(found) + ticks + 1, len(CONTRACT) + len(TRANSFORMS)
     assert "recorded {} messages on {} topics".format(*recorded) in said
     assert ", 0 missed at the start, 0 lost:" in said
 
@@ -220,8 +218,13 @@ def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
         publisher = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
         recorder = start_recorder(tmp_path / "bag")
         wait_for(lambda: publisher.get_subscription_count() > 0)
-        until = time.monotonic() + 1.7
-        while time.monotonic() < until:
+
+        def is_recorded() -> bool:
+            publisher.publish(sample(ros.ODOM, time.time_ns()))
+            return bool(list(read(tmp_path / "bag")))
+
+        limit = wait_for(is_recorded, period=0.01) + 1.5
+        while time.time() < limit:
             publisher.publish(sample(ros.ODOM, time.time_ns()))
             time.sleep(0.002)
         killed_ns = time.time_ns()
@@ -267,6 +270,6 @@ def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:
         parameter: popen_recorder("output:=elsewhere", parameter) for parameter in complaints
     }
     for parameter, complaint in complaints.items():
-        said, _ = recorders[parameter].communicate(timeout=20)
+        said, _ = recorders[parameter].communicate(timeout=TIMEOUT)
         assert recorders[parameter].returncode == 2
         assert said == f"error: {complaint}\n"

@@ -25,7 +25,7 @@ class Reported(World):
     """Beside a node with simulated time that the test makes."""
 
     def at(self, seconds: float, node: Any, *, odom: bool = True, **changes: Any) -> Any:
-        """Let a node report at a time, with an odom of that time before; gives level and words."""
+        """Run a node at a time, with odometry of that time; return level and text of its report."""
         self.set_clock(seconds, node)
         if odom:
             message = odometry(round(seconds * NANOSECONDS), **changes)
@@ -37,7 +37,7 @@ class Reported(World):
 
 
 def report_of(node: Any) -> DiagnosticStatus:
-    """Let a node report, and give what it would publish."""
+    """Return the report that a node would publish."""
     caught: list[DiagnosticArray] = []
     publisher, node.diagnostics = node.diagnostics, SimpleNamespace(publish=caught.append)
     node.on_diagnostics()

@@ -105,12 +105,12 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driver]:
 
 
 def requested(changes: dict[str, Any]) -> list[Any]:
-    """Give values as a request takes them."""
+    """Return values as a request takes them."""
     return [Parameter(name, value=value).to_parameter_msg() for name, value in changes.items()]
 
 
 def set_together(driver: Driver, changes: dict[str, Any]) -> Any:
-    """Set parameters as one set, by the service; gives the result."""
+    """Set parameters as one set, by the service; return the result."""
     client = driver.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
     request = SetParametersAtomically.Request(parameters=requested(changes))
     return driver.answer(client, request).result

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pytest
-from domain_coordinator import domain_id
 from rclpy.node import Node
 from visualization_msgs.msg import MarkerArray
 
@@ -58,14 +57,14 @@ def profiles() -> Iterator[tuple[str, Profile]]:
 
 
 def full(expression: str, node: str) -> str:
-    """Give the full name of a topic or service in the root namespace."""
+    """Return the full name of a topic or service in the root namespace."""
     if expression.startswith("~/"):
         return f"/{node}{expression[1:]}"
     return expression if expression.startswith("/") else f"/{expression}"
 
 
 def used_by(observer: Node, name: str) -> set[str]:
-    """Give what the graph says about a node, in the same words."""
+    """Return the endpoints of a node in the graph, in the same words."""
     lists = {
         "publish": observer.get_publisher_names_and_types_by_node,
         "subscribe": observer.get_subscriber_names_and_types_by_node,
@@ -76,7 +75,7 @@ def used_by(observer: Node, name: str) -> set[str]:
 
 
 def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
-    """Tell whether all has been discovered, with what the markers hear while somebody looks."""
+    """Check whether all endpoints are discovered, with those that the markers need for a viewer."""
     return bool(nodes["markers"].inputs) and all(
         {f"publish {each.topic_name}" for each in node.publishers}
         | {f"subscribe {each.topic_name}" for each in node.subscriptions}
@@ -87,16 +86,10 @@ def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def empty_graph() -> Iterator[None]:
-    """Leave the domain of the other tests, in which nodes that were killed are seen for a while."""
-    with domain_id() as number, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
-        yield
-
-
-@pytest.fixture(scope="module")
-def used(empty_graph: None, tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
-    """Give what each node uses in one of the two modes, or in both."""
+def used(
+    own_domain_of_module: None, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, set[str]]:
+    """Return the endpoints of each node in both modes."""
     found: dict[str, set[str]] = {name: set() for name in NODES}
     for lock_step in (True, False):
         bag = tmp_path_factory.mktemp("bag") / "bag"

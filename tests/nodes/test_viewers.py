@@ -50,7 +50,7 @@ def plotjuggler() -> Any:
 
 
 def found(key: str, content: Any) -> Iterator[Any]:
-    """Give the values of a key, wherever in a document."""
+    """Return the values of a key, anywhere in a document."""
     if isinstance(content, dict):
         if key in content:
             yield content[key]

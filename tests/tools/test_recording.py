@@ -31,9 +31,9 @@ from tests.bag_samples import (
     is_complete,
     read,
     read_with_rosbags,
-    wait_for,
     write_bag,
 )
+from tests.waiting import TIMEOUT
 
 WRITER = """
 import sys, time
@@ -170,7 +170,7 @@ def test_a_full_disk_ends_a_recording_in_one_line_and_what_was_written_stays(
     limited = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))\n"
     script = limited + WRITER.replace("time.sleep(0.001)", "recording.flush()")
     writer = subprocess.run(
-        [sys.executable, "-c", script, tmp_path], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", script, tmp_path], capture_output=True, text=True, timeout=TIMEOUT
     )
     assert writer.returncode == 1
     complaint = f"ValueError: {tmp_path}: recording ends: File too large; what was written before"

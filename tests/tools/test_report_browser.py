@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from launch_scripts.report import main
+from tests.waiting import TIMEOUT
 from tests.workshop.bench.bench_report_page import make_bag
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -15,8 +16,8 @@ OPTIONS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
-PATIENCE = 60_000
-"""Longest time to draw the page [ms]."""
+PATIENCE = 1000.0 * TIMEOUT
+"""Wall time after which a wait for the page has failed [ms]."""
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
 
 
@@ -49,6 +50,7 @@ def said() -> list[str]:
 def page(browser: Any, page_file: Path, said: list[str]) -> Iterator[Any]:
     """Open the page offline; afterwards check that it logged and requested nothing."""
     context = browser.new_context(offline=True, viewport={"width": 1100, "height": 800})
+    context.set_default_timeout(PATIENCE)
     opened = context.new_page()
     opened.on("console", lambda message: said.append(f"console: {message.text}"))
     opened.on("pageerror", lambda error: said.append(f"error: {error}"))

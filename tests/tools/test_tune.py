@@ -23,6 +23,7 @@ from launch_scripts.tuning.report import NO_SINGLE, Candidate, TuningReport
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
 from launch_scripts.tuning.task import Search, nodes_of, read_task, searches_of
 from launch_scripts.tuning.workers import Workers, open_workers
+from tests.waiting import TIMEOUT
 
 SMALL = ["--formulation", "paper", "--speeds", "3", "9", "--references", "5", "10"]
 SMALL += ["--particles", "4", "--seeds", "1"]
@@ -79,9 +80,9 @@ def test_a_search_that_was_killed_resumes_to_the_same_table_bit_for_bit(tmp_path
     assert tuned(tmp_path / "cut.yaml", "--generations", "30", "--resume") == whole
 
 
-def wait_for(condition: Callable[[], bool], timeout: float = 100.0) -> bool:
-    """Wait until a condition holds, and return whether it does."""
-    end = time.monotonic() + timeout
+def wait_for(condition: Callable[[], bool], patience: float = TIMEOUT) -> bool:
+    """Wait until a condition holds."""
+    end = time.monotonic() + patience
     while time.monotonic() < end:
         if condition():
             return True

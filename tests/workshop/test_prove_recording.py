@@ -1,4 +1,4 @@
-"""The proof of the recorder, in small: kills in both kinds of time."""
+"""The proof of the recorder with few kills, in real and in simulated time."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def test_killed_recorders_lose_less_than_a_second_and_every_library_opens_the_re
     assert [kill for kill in kills if not kill.is_good] == []
 
 
-def test_the_table_names_what_does_not_hold() -> None:
+def test_the_table_marks_every_failure() -> None:
     good = Kill(1.0, False, 100, 80, 0.2, 0, "only the index was missing", opened=True)
     bad = [good._replace(loss=1.0), good._replace(gaps=1), good._replace(opened=False)]
     assert [kill.is_good for kill in (good, *bad)] == [True, False, False, False]

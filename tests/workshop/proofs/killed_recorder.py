@@ -1,9 +1,9 @@
-"""A recorder that is killed while a car is played to it."""
+"""A recorder process that is killed, and a car that publishes to it."""
 
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,17 @@ from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis, VehicleState
+from tests.waiting import wait_for
 
 RATE = 100
-"""Of the car that is played [Hz]."""
-PATIENCE = 30.0
-"""Wall time for the recorder to start [s]."""
+"""Messages of each topic per second [Hz]."""
 
 
 class Car:
-    """Publishes what a control loop says, each message with its number as the stamp."""
+    """Publishes the topics of a control loop, each message with its number as the stamp."""
 
     def __init__(self, node: Any) -> None:
-        """Make the publishers."""
+        """Create the publishers."""
         self.clock = node.create_publisher(Clock, ros.CLOCK, ros.RELIABLE)
         self.odom = node.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         self.command = node.create_publisher(JointState, ros.STEERING_COMMAND, ros.RELIABLE)
@@ -35,13 +34,13 @@ class Car:
         self.number = 0
         self.publish(with_clock=False)  # compiles
 
-    def is_heard(self) -> bool:
-        """Whether the recorder listens to everything."""
+    def is_matched(self) -> bool:
+        """Check whether the recorder subscribes to everything."""
         publishers = self.clock, self.odom, self.command, self.tick
         return all(publisher.get_subscription_count() for publisher in publishers)
 
     def publish(self, *, with_clock: bool) -> None:
-        """Send one message on each topic."""
+        """Publish one message on each topic."""
         self.number += 1
         stamp_ns = self.number * NANOSECONDS // RATE
         if with_clock:
@@ -53,10 +52,21 @@ class Car:
         tick.name, tick.position, tick.velocity = self.names, [0.1] * len(self.names), []
         self.tick.publish(tick)
 
+    def publish_for(self, duration: float, clock_starts: float) -> int:
+        """Publish in real time; return the wall time of the last message [ns]."""
+        start = due = time.monotonic()
+        last_ns = time.time_ns()
+        while time.monotonic() < start + duration:
+            self.publish(with_clock=time.monotonic() > start + clock_starts)
+            last_ns = time.time_ns()
+            due += 1 / RATE
+            time.sleep(max(0.0, min(due, start + duration) - time.monotonic()))
+        return last_ns
+
 
 @contextmanager
-def car() -> Iterator[Car]:
-    """Gives a car that publishes."""
+def running_car() -> Iterator[Car]:
+    """Create a car in a ROS context of its own."""
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     node: Any = rclpy.create_node("car", context=context)
@@ -66,39 +76,14 @@ def car() -> Iterator[Car]:
 
 
 @contextmanager
-def recorder(bag: Path, simulated: bool) -> Iterator[subprocess.Popen[bytes]]:
-    """Gives a recorder that records; it is killed in the end."""
+def running_recorder(bag: Path, simulated: bool) -> Iterator[subprocess.Popen[bytes]]:
+    """Start a recorder, wait until it records, and kill it at the end."""
     command = [sys.executable, "-m", "ampc_msgs_config.nodes.recorder_node", "--ros-args"]
     command += ["-p", f"output:={bag}", "-p", f"use_sim_time:={str(simulated).lower()}"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        wait_until((bag / "metadata.yaml").exists)
+        wait_for((bag / "metadata.yaml").exists)
         yield process
     finally:
         process.kill()
         process.wait()
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    """Waits until a condition holds.
-
-    Raises:
-        TimeoutError: It does not.
-    """
-    until = time.monotonic() + PATIENCE
-    while not condition():
-        if time.monotonic() > until:
-            raise TimeoutError(f"waited in vain for {PATIENCE:.0f} s")
-        time.sleep(0.01)
-
-
-def drive(played: Car, duration: float, clock_starts: float) -> int:
-    """Publishes in real time; gives the wall time of the last message [ns]."""
-    start = due = time.monotonic()
-    last_ns = time.time_ns()
-    while time.monotonic() < start + duration:
-        played.publish(with_clock=time.monotonic() > start + clock_starts)
-        last_ns = time.time_ns()
-        due += 1 / RATE
-        time.sleep(max(0.0, min(due, start + duration) - time.monotonic()))
-    return last_ns

@@ -1,10 +1,10 @@
-"""Kills the recorder at random moments of a run, and measures what is lost and what recover makes.
+"""Kill recorders at random moments, recover their bags, and measure what is lost.
 
-``python tests/workshop/proofs/prove_recording.py [--kills 20] [--seed 1]`` plays a car that
-publishes the topics of a control loop in real time, kills the recorder with SIGKILL, recovers the
-bag and opens the result with `mcap`, `rosbags` and our reader. Every other run is in simulated
-time, and a part of those dies before the simulated clock starts. Exit code 1 where a second or
-more is lost, a message is missing before the end, or a result does not open.
+`python -m tests.workshop.proofs.prove_recording [--kills 20] [--seed 1]` publishes the topics of a
+control loop in real time, kills the recorder with SIGKILL, recovers the bag and opens the result
+with `mcap`, `rosbags` and our reader. Every other run is in simulated time; some of those end
+before the simulated clock starts. The exit code is 1 where a second or more is lost, a message is
+missing before the end, or a result cannot be opened.
 """
 
 import argparse
@@ -26,19 +26,24 @@ from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.bags.recovery import recover
 from launch_scripts.run.environment import ros_environment
 from tests.bag_samples import read
-from tests.workshop.proofs.killed_recorder import RATE, car, drive, recorder, wait_until
+from tests.waiting import wait_for
+from tests.workshop.proofs.killed_recorder import (
+    RATE,
+    running_car,
+    running_recorder,
+)
 
 LONGEST = 6.0
-"""Wall time after which the recorder is killed at the latest [s]."""
+"""Longest wall time from the start of a recorder to its end [s]."""
 CLOCK_STARTS = 2.0
-"""Wall time after which simulated time starts, where it does [s]."""
+"""Wall time at which simulated time starts [s]."""
 TRANSFORMS = (ros.TF, ros.TF_STATIC)
 BOUND = 1.0
-"""More must not be lost [s]."""
+"""Upper bound of the loss [s]."""
 
 
 class Kill(NamedTuple):
-    """What one kill has left."""
+    """Result of one kill."""
 
     after: float
     """Wall time from the recorder's start to its end [s]."""
@@ -47,28 +52,28 @@ class Kill(NamedTuple):
     published: int
     """Messages that the car had sent to the recorder."""
     recorded: int
-    """Those that are in the recovered bag."""
+    """Messages in the recovered bag."""
     loss: float
-    """From the last recorded message to the last published one [s]."""
+    """Time from the last recorded message to the last published one [s]."""
     gaps: int
     """Messages that are missing before the last recorded one."""
-    said: str
-    """First words of recover."""
+    report: str
+    """First line of the output of recover."""
     opened: bool
-    """Whether mcap, rosbags and we read the same number of messages from the recovered bag."""
+    """Whether mcap, rosbags and our reader find the same number of messages in the result."""
 
     @property
     def is_good(self) -> bool:
-        """Whether the promise holds."""
+        """Whether the loss is below the bound, without gaps, and the result can be opened."""
         return self.loss < BOUND and not self.gaps and self.opened
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Kills as often as wanted, prints a table and gives the exit code."""
+    """Kill recorders, print a table, return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="folder for the bags (a temporary one)")
+    parser.add_argument("--kills", type=int, default=20, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments; default: %(default)s")
+    parser.add_argument("--keep", type=Path, help="folder for the bags; default: a temporary one")
     chosen = parser.parse_args(arguments)
     if chosen.kills < 1:
         parser.error(f"--kills {chosen.kills}: must be at least 1")
@@ -80,61 +85,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def prove(folder: Path, count: int, seed: int) -> Iterator[Kill]:
-    """Kills recorders, one after the other.
+    """Kill recorders, one after the other.
 
     Args:
-        folder: For the bags.
-        count: How many kills.
-        seed: Of their moments.
-
-    Raises:
-        TimeoutError: A recorder does not start.
+        folder: Folder of the bags.
+        count: Number of kills.
+        seed: Seed of the moments.
     """
     moments = random.Random(seed)
     for number in range(count):
         simulated = bool(number % 2)
-        with car() as played, recorder(folder / f"kill_{number}", simulated) as process:
-            wait_until(played.is_heard)
-            first = played.number + 1
+        bag = folder / f"kill_{number}"
+        with running_car() as car, running_recorder(bag, simulated) as process:
+            wait_for(car.is_matched)
+            first = car.number + 1
             after = moments.uniform(0.0, LONGEST)
-            last_ns = drive(played, after, CLOCK_STARTS if simulated else 0.0)
+            last_ns = car.publish_for(after, CLOCK_STARTS if simulated else 0.0)
             process.kill()
-        yield judge(folder / f"kill_{number}", after, simulated, first, last_ns, played.number)
+        yield evaluate(bag, after, simulated, first, last_ns, car.number)
 
 
-def judge(bag: Path, after: float, simulated: bool, first: int, last_ns: int, last: int) -> Kill:
-    """Recovers a bag, and compares what is in it with what was published.
+def evaluate(bag: Path, after: float, simulated: bool, first: int, last_ns: int, last: int) -> Kill:
+    """Recover a bag and compare its content with the published messages.
 
     Args:
-        bag: What the killed recorder has left.
-        after: Wall time of its life [s].
+        bag: Bag of the killed recorder.
+        after: Wall time from the recorder's start to its end [s].
         simulated: Whether log times were simulated.
-        first: Number of the first message that the recorder had to hear.
+        first: Number of the first message that the recorder must record.
         last_ns: Wall time of the last message [ns].
-        last: Its number.
+        last: Number of the last message.
     """
     output = bag.with_name(f"{bag.name}_recovered")
-    said = recover(bag, output)
-    found = [entry for entry in read(output) if entry.topic.endswith(ros.ODOM)]
-    stamps = {ros.nanoseconds(entry.message.header.stamp) for entry in found}
+    report = recover(bag, output)
+    entries = [entry for entry in read(output) if entry.topic.endswith(ros.ODOM)]
+    stamps = {ros.nanoseconds(entry.message.header.stamp) for entry in entries}
     numbers = sorted(stamp_ns * RATE // NANOSECONDS for stamp_ns in stamps)
-    newest = max((entry.publish_time_ns for entry in found), default=0)
+    newest = max((entry.publish_time_ns for entry in entries), default=0)
     begin_ns = last_ns - int(after * NANOSECONDS)
     expected = range(min(numbers, default=first), max(numbers, default=first - 1) + 1)
     return Kill(
         after,
         simulated,
         last - first + 1,
-        len(found),
+        len(entries),
         max(0, last_ns - max(newest, begin_ns)) / NANOSECONDS,
         len(set(expected) - set(numbers)),
-        said[0].partition(": ")[2],
+        report[0].partition(": ")[2],
         opens(output),
     )
 
 
 def opens(bag: Path) -> bool:
-    """Tells whether mcap, rosbags and our reader understand all of a bag."""
+    """Check whether mcap, rosbags and our reader can read all of a bag."""
     (file,) = bag.glob("*.mcap")
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -145,13 +148,12 @@ def opens(bag: Path) -> bool:
     with AnyReader([bag]) as others:
         messages = [others.deserialize(data, link.msgtype) for link, _, data in others.messages()]
     ours = sum(entry.topic not in TRANSFORMS for entry in read(bag))
-    placed = sum(topic in TRANSFORMS for topic in topics)  # a type that may not be installed
-    in_index = summary.statistics.message_count
-    return in_index == len(topics) == len(messages) == ours + placed
+    transforms = sum(topic in TRANSFORMS for topic in topics)  # the type may not be installed
+    return summary.statistics.message_count == len(topics) == len(messages) == ours + transforms
 
 
 def table(kills: Sequence[Kill]) -> Table:
-    """Lays the kills out for the terminal."""
+    """Return the table of the kills for the terminal."""
     result = Table(title=f"{len(kills)} recorders killed", title_justify="left")
     for heading in ("kill at [s]", "time", "sent", "in the bag", "gaps", "lost [s]", "recover", ""):
         result.add_column(heading, justify="left" if heading in ("time", "recover") else "right")
@@ -163,7 +165,7 @@ def table(kills: Sequence[Kill]) -> Table:
             str(kill.recorded),
             str(kill.gaps),
             f"{kill.loss:.3f}",
-            kill.said,
+            kill.report,
             "opens" if kill.opened else "DOES NOT OPEN",
         )
     worst = max((kill.loss for kill in kills), default=0.0)
