@@ -33,7 +33,7 @@ from tests.bag_samples import (
     read_with_rosbags,
     write_bag,
 )
-from tests.waiting import TIMEOUT
+from tests.waiting import TIMEOUT, wait_for
 
 WRITER = """
 import sys, time
