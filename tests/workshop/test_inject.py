@@ -161,7 +161,7 @@ def log_with(error: list[float], rungs: list[int]) -> Log:
 
 
 @pytest.mark.parametrize(
-    ("error", "rungs", "fate"),
+    ("error", "rungs", "outcome"),
     [
         ([0.0] * 10, [0] * 10, "0.0 s"),
         ([0.0] * 10, [0, 0, STOP, STOP, 0, 0, 0, 0, 0, 0], "0.0 s"),
