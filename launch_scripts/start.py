@@ -185,7 +185,7 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
 
     try:
         console.print(write_result(run, str(ended)))
-        files = "bag, report.html, report.json, metrics.json, log"
+        files = "bag, report.html, report.json, metrics.json, logs"
         console.print(f"{files}: {run.folder}", markup=False)
         if not is_complete(run.bag):
             from launch_scripts.recover import default_output, recover
