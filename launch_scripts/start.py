@@ -186,7 +186,7 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
 
     try:
         console.print(write_result(run, str(ended)))
-        files = "bag, report.html, report.json, metrics.json, log"
+        files = "bag, report.html, report.json, metrics.json, logs"
         console.print(f"{files}: {run.folder}", markup=False)
         with open_bag(run.bag) as bag:
             is_complete = bag.is_complete
