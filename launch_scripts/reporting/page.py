@@ -15,7 +15,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.metrics import METRICS, Value
+from ampc_msgs_config.metrics import METRICS, NOTES, Value
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.reporting.drive import JudgedDrive
 from launch_scripts.reporting.events import EVENTS, draw_events
@@ -151,7 +151,7 @@ def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
     rows: Rows = []
     for key, values in visible_metrics(drives):
         metric = METRICS[key]
-        note = Markup("<small>{}</small>").format(metric.note) if metric.note else ""
+        note = Markup("<small>{}</small>").format(NOTES[key]) if key in NOTES else ""
         cells = [
             NO_DATA if v is None else num(v if isinstance(v, int) else v * metric.scale)
             for v in values
