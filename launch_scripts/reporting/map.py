@@ -29,7 +29,7 @@ CENTIMETRE, MILLIRADIAN, MILLISECOND = 2, 4, 3
 """Decimals to which positions, angles and times are rounded."""
 
 
-class Map(NamedTuple):
+class ReportMap(NamedTuple):
     """Figure and moving parts."""
 
     figure: go.Figure
@@ -37,7 +37,7 @@ class Map(NamedTuple):
     """Data of each drive for the script of the page; see `motion`."""
 
 
-def draw_map(drives: Sequence[JudgedDrive], points: int) -> Map:
+def draw_map(drives: Sequence[JudgedDrive], points: int) -> ReportMap:
     """Return the map of one or several drives; a path that they share is drawn once."""
     figure, moving = go.Figure(), []
     reference = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
@@ -52,7 +52,7 @@ def draw_map(drives: Sequence[JudgedDrive], points: int) -> Map:
         add_car(figure, color, k == 0)
         moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
     set_map_layout(figure, 76 if len(drives) == 1 else 104)
-    return Map(figure, moving)
+    return ReportMap(figure, moving)
 
 
 def paths_of(drives: Sequence[JudgedDrive]) -> list[Array]:

@@ -102,7 +102,7 @@ def fill_page(drives: Sequence[JudgedDrive], thresholds: str, command: str, poin
             [key, *(each.get(key, NO_DATA) for each in facts)]
             for key in dict.fromkeys(key for each in facts for key in each)
         ],
-        configurations=[configurations(drive) for drive in drives],
+        configurations=[configuration_texts(drive) for drive in drives],
         points=points,
         command=command,
         version=__version__,
@@ -208,7 +208,7 @@ def format_begin(start_ns: int) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def configurations(drive: JudgedDrive) -> dict[str, str]:
+def configuration_texts(drive: JudgedDrive) -> dict[str, str]:
     """Return the YAML text of each node's configuration, truncated where it is very long."""
     texts = {}
     for node, content in drive.columns.configuration.items():
