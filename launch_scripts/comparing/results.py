@@ -205,9 +205,9 @@ def comparison_markdown(comparison: Comparison) -> str:
         "# Controllers and scenarios",
         "",
         f"`{comparison.command}`: {describe_conditions(comparison.conditions)}; "
-        f"AMPC for ROS 2 {__version__}. Every cell is a drive of the same car with the same seed. Errors are those of the true "
-        "state, without measurement noise. Bold: smallest of its scenario. Lost: cross-track "
-        f"error above {LOST:g} m at any time.",
+        f"AMPC for ROS 2 {__version__}. Every cell is a drive of the same car with the same seed. "
+        "Errors are those of the true state, without measurement noise. Bold: smallest of its "
+        f"scenario. Lost: cross-track error above {LOST:g} m at any time.",
     ]
     for key in QUANTITIES.values():
         lines += ["", f"## {heading_of(key)}", ""]
