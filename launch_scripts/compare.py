@@ -29,9 +29,9 @@ from launch_scripts.comparing.cells import (
     Cell,
     Conditions,
     Contender,
+    build_simulation,
     controller_of,
     drive_cell,
-    simulation_of,
 )
 from launch_scripts.comparing.results import Comparison, terminal_table, write_comparison
 from launch_scripts.report import add_format_option
@@ -41,7 +41,7 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
 """Roads of the paper and those derived from them, which are driven first."""
-WIDTH = 120
+TABLE_WIDTH = 120
 """Smallest width of the printed table [characters]."""
 WRONG = 2
 """Exit code for an invalid option."""
@@ -54,7 +54,7 @@ def roads() -> list[str]:
     return [*PAPERS, *(name for name in shipped("scenarios") if name not in PAPERS)]
 
 
-def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -158,7 +158,7 @@ def scenarios_of(options: argparse.Namespace, conditions: Conditions) -> list[Sc
         with naming(f"scenarios {text}"):
             route = Route(scenario, path, options.speed, options.lateral_acceleration, options.laps)
             scenarios.append(choose_scenario(route, size))
-            simulation_of(conditions, scenarios[-1])
+            build_simulation(conditions, scenarios[-1])
     check_unique("scenarios", [scenario.name for scenario in scenarios])
     return scenarios
 
@@ -185,7 +185,7 @@ def drive_cells(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Drive all cells, print and write the result, and return the exit code."""
-    options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
+    options, console = read_compare_options(arguments), Console(highlight=False, soft_wrap=True)
     words = shlex.join(sys.argv[1:] if arguments is None else arguments)
     try:
         conditions = conditions_of(options)
@@ -200,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = f"python launch_scripts/compare.py {words}".strip()
     comparison = Comparison(command, conditions, contenders, scenarios, cells)
     key = QUANTITIES[options.quantity]
-    console.width = max(console.width, WIDTH)
+    console.width = max(console.width, TABLE_WIDTH)
     console.print(terminal_table(comparison, key))
     files = write_comparison(comparison, key, options.output, options.format)
     console.print(f"{', '.join(files)}: {options.output}", markup=False)

@@ -28,12 +28,12 @@ from launch_scripts.run.json_values import to_json
 
 FAILED, WRONG = 1, 2
 """Exit codes."""
-WIDTH = 100
+TABLE_WIDTH = 100
 """Smallest width of the printed tables [characters]."""
 FORMATS = ("csv", "svg", "pdf")
 
 
-def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def read_report_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -59,8 +59,8 @@ def add_format_option(parser: argparse.ArgumentParser, content: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read the bags, write page and JSON, print the tables, and return the exit code."""
-    options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
-    console.width = max(console.width, WIDTH)
+    options, console = read_report_options(arguments), Console(highlight=False, soft_wrap=True)
+    console.width = max(console.width, TABLE_WIDTH)
     command = f"report {shlex.join(sys.argv[1:] if arguments is None else arguments)}"
     try:
         drives = judge_bags(options)
@@ -134,7 +134,7 @@ def write_report(file: Path, drives: Sequence[JudgedDrive], thresholds: str, com
     page = report_page(drives, thresholds, f"{command}, {now}")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(page, encoding="utf-8")
-    content = to_json(json_content(drives, thresholds))
+    content = to_json(report_json(drives, thresholds))
     text = json.dumps(content, indent=2, allow_nan=False, default=str)
     file.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
 
@@ -154,7 +154,7 @@ def passed(drives: Sequence[JudgedDrive]) -> bool | None:
     return all(verdict.passed for verdict in verdicts) if verdicts else None
 
 
-def json_content(drives: Sequence[JudgedDrive], thresholds: str) -> dict[str, Any]:
+def report_json(drives: Sequence[JudgedDrive], thresholds: str) -> dict[str, Any]:
     """Return all numbers of the page, in SI units."""
     return {
         "version": __version__,

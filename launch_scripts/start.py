@@ -22,7 +22,7 @@ from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.run.environment import ros_environment
-from launch_scripts.run.options import Run, prepare, read_run_options
+from launch_scripts.run.options import Run, prepare_run, read_run_options
 from launch_scripts.run.processes import Processes
 
 START_TIME_OUT = 180.0
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     try:
-        run = prepare(options)
+        run = prepare_run(options)
         return finish(run, drive_run(run, console), console)
     except ValueError as error:
         print_error(console, error)

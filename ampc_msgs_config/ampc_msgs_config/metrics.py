@@ -4,8 +4,7 @@ A metric is a function of a `DriveRecord`, which `record_of` builds from a drive
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -79,13 +78,11 @@ class Metric(NamedTuple):
     title: str
     unit: str
     """Unit for display."""
-    direction: int
-    """LOWER or NEUTRAL: which values are better."""
     function: Function
     scale: float = 1.0
     """Factor from the value to the displayed number."""
-    note: str = ""
-    """Definition, where the title is not enough."""
+    direction: int = LOWER
+    """LOWER or NEUTRAL: which values are better."""
 
 
 def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
@@ -242,8 +239,7 @@ def reversal_rate(record: DriveRecord) -> Value:
     """Return the reversals per second [1/s]; the duration counts as one period at least."""
     if len(record.steering) < 2:
         return None
-    duration = float(record.time[-1] - record.time[0])
-    return reversals(record.steering) / max(duration, record.period)
+    return reversals(record.steering) / max(duration(record.time), record.period)
 
 
 def time_at_limit(record: DriveRecord) -> Value:
@@ -258,11 +254,6 @@ def count_begins(_: Array, flag: Array) -> int:
     return int((np.diff(flag > 0, prepend=0) > 0).sum())
 
 
-def time_nonzero(time: Array, values: Array) -> float:
-    """Return the duration in which a quantity is not zero [s]."""
-    return time_where(time, values != 0)
-
-
 def mean_square(values: Array) -> float:
     """Return the mean of the squares."""
     return float(np.mean(values**2))
@@ -273,144 +264,136 @@ def diverged(error: Array) -> float:
     return float(not abs(error[-1]) < LOST)
 
 
+def duration(time: Array) -> float:
+    """Return the time from the first to the last tick [s]."""
+    return float(time[-1] - time[0])
+
+
+def rms_deg(angle: Array) -> float:
+    """Return the RMS of an angle (n,) [rad] in [deg]."""
+    return math.degrees(rms(angle))
+
+
+def rms_step(angle: Array) -> float:
+    """Return the RMS increment of an angle (n,) [rad]."""
+    return rms(np.diff(angle))
+
+
 def rms_increment_deg(angle: Array) -> float:
     """Return the RMS increment of an angle (n,) [rad] in [deg]."""
     return rms(np.degrees(np.diff(angle)))
 
 
-def count_equal(value: int, _: Array, values: Array) -> int:
-    """Return the number of ticks with the given value."""
-    return int((values == value).sum())
+def largest_deg(angle: Array) -> float:
+    """Return the largest absolute value of an angle (n,) [rad] in [deg]."""
+    return float(np.degrees(largest(angle)))
 
 
-def rung_metrics() -> Iterator[Metric]:
-    """Yield the number of ticks on each rung of the fallback."""
-    for k, name in enumerate(RUNGS):
-        count = of_tick("rung", partial(count_equal, k))
-        yield Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", NEUTRAL, count)
+def range_deg(angle: Array) -> float:
+    """Return largest minus smallest value of an angle (n,) [rad] in [deg]."""
+    return math.degrees(np.ptp(angle))
 
 
-def solve_time_metrics() -> Iterator[Metric]:
-    """Yield the percentiles of the solve time, in seconds and in microseconds."""
-    shares = {"median": ("p50", 50.0), "p99": ("p99", 99.0), "max": ("max", 100.0)}
-    for key, title in (("median", "median"), ("p99", "99th percentile"), ("max", "largest")):
-        name, share = shares[key]
-        words = f"Solve time, {title}", "\u00b5s", LOWER
-        yield Metric(f"solve_time_{key}", *words, of("solve_time", percentile(share)), MICRO)
-        function = of("solve_time", percentile(share, MICRO))
-        yield Metric(f"solve_time_{name}_us", *words, function)
+def time_of(name: str) -> Function:
+    """Return the metric function of the duration in which a quantity is not zero [s]."""
+    return of_tick(name, lambda time, values: time_where(time, values != 0))
 
 
-# Title, unit, direction and function of metrics that JSON files contain under two keys.
-RMS = "RMS cross-track error", "m", LOWER, of("error", rms)
-P95 = "95th percentile of the cross-track error", "m", LOWER, of("error", percentile(95))
-MAX = "Largest cross-track error", "m", LOWER, of("error", largest)
-ANGLE = "Largest steering angle", "deg", LOWER
-EFFORT = "Steering effort", "deg/tick", LOWER
-BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
+def count_of(name: str, index: int) -> Function:
+    """Return the metric function of the number of ticks at which a quantity has a value."""
+    return of_tick(name, lambda _, values: int((values == index).sum()))
+
+
+def count_fallback(_: Array, rung: Array) -> int:
+    """Return the number of ticks at which a fallback steered."""
+    return int((rung >= SHIFTED_PLAN).sum())
+
+
+def solve_time_metrics(key: str, key_us: str, title: str, share: float) -> tuple[Metric, Metric]:
+    """Return a percentile of the solve time [s], and the same [us]."""
+    title, unit = f"Solve time, {title}", "\u00b5s"
+    in_us = of("solve_time", percentile(share, MICRO))
+    return (
+        Metric(f"solve_time_{key}", title, unit, of("solve_time", percentile(share)), MICRO),
+        Metric(f"solve_time_{key_us}_us", title, unit, in_us),
+    )
+
+
+# Title, unit and function of metrics that JSON files contain under two keys.
+RMS = "RMS cross-track error", "m", of("error", rms)
+P95 = "95th percentile of the cross-track error", "m", of("error", percentile(95.0))
+MAX = "Largest cross-track error", "m", of("error", largest)
 TABLE: tuple[Metric, ...] = (
     # Drive
-    Metric("ticks", "Ticks", "", NEUTRAL, of("time", len)),
-    Metric("missed_ticks", "Missed ticks", "", LOWER, lambda r: missed_ticks(r.time, r.period)),
-    Metric("duration", "Duration", "s", NEUTRAL, of("time", lambda t: float(t[-1] - t[0]))),
-    Metric("distance", "Distance", "m", NEUTRAL, distance),
+    Metric("ticks", "Ticks", "", of("time", len), direction=NEUTRAL),
+    Metric("missed_ticks", "Missed ticks", "", lambda r: missed_ticks(r.time, r.period)),
+    Metric("duration", "Duration", "s", of("time", duration), direction=NEUTRAL),
+    Metric("distance", "Distance", "m", distance, direction=NEUTRAL),
     # Tracking error
-    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", LOWER, of("error", mean_square)),
-    Metric(
-        "mse_lateral_m2",
-        "MSE of Y - Y_ref(X), as in the paper",
-        "m\u00b2",
-        LOWER,
-        of("lateral", mean_square),
-    ),
+    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", of("error", mean_square)),
+    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2", of("lateral", mean_square)),
     Metric("rms_error_m", *RMS),
     Metric("p95_error_m", *P95),
     Metric("max_error_m", *MAX),
     Metric("rms_cross_track_error", *RMS),
-    Metric("p95_cross_track_error", *P95, note="of the absolute value"),
+    Metric("p95_cross_track_error", *P95),
     Metric("max_cross_track_error", *MAX),
-    Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", LOWER, last_rms(3.0)),
-    Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", LOWER, last_rms(5.0)),
-    Metric("diverged", "Lost at the end", "", LOWER, of("error", diverged)),
-    Metric("rms_heading_error", "RMS heading error", "deg", LOWER, of("heading", rms), DEG),
-    Metric(
-        "rms_heading_error_deg",
-        *("RMS heading error", "deg", LOWER),
-        of("heading", lambda heading: math.degrees(rms(heading))),
-    ),
+    Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", last_rms(3.0)),
+    Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", last_rms(5.0)),
+    Metric("diverged", "Lost at the end", "", of("error", diverged)),
+    Metric("rms_heading_error", "RMS heading error", "deg", of("heading", rms), DEG),
+    Metric("rms_heading_error_deg", "RMS heading error", "deg", of("heading", rms_deg)),
     # Car and steering
     Metric(
         "max_lateral_acceleration",
-        *("Largest lateral acceleration", "m/s\u00b2", LOWER),
+        "Largest lateral acceleration",
+        "m/s\u00b2",
         max_lateral_acceleration,
-        note="speed times yaw rate",
     ),
-    Metric("steering_max_deg", *ANGLE, of("steering", lambda u: float(np.degrees(largest(u))))),
-    Metric("max_steering", *ANGLE, of("steering", largest, 2), DEG),
+    Metric("steering_max_deg", "Largest steering angle", "deg", of("steering", largest_deg)),
+    Metric("max_steering", "Largest steering angle", "deg", of("steering", largest, 2), DEG),
+    Metric("steering_range_deg", "Range of the steering angle", "deg", of("steering", range_deg)),
     Metric(
-        "steering_range_deg",
-        *("Range of the steering angle", "deg", LOWER),
-        of("steering", lambda angle: math.degrees(np.ptp(angle))),
+        "steering_rms_increment_deg",
+        "Steering effort",
+        "deg/tick",
+        of("steering", rms_increment_deg, 2),
     ),
-    Metric("steering_rms_increment_deg", *EFFORT, of("steering", rms_increment_deg, 2)),
-    Metric(
-        "steering_effort",
-        *EFFORT,
-        of("steering", lambda angle: rms(np.diff(angle)), 2),
-        DEG,
-        "RMS increment of the command",
-    ),
-    Metric(
-        "steering_reversals",
-        *("Steering reversals", "", LOWER),
-        of("steering", reversals, 2),
-        note=BAND,
-    ),
-    Metric(
-        "steering_reversal_rate",
-        *("Steering reversals per second", "1/s", LOWER),
-        reversal_rate,
-        note=BAND,
-    ),
-    Metric(
-        "time_at_limit",
-        *("Time at the angle bound", "s", LOWER),
-        time_at_limit,
-        note="command within 1 mrad of the bound",
-    ),
+    Metric("steering_effort", "Steering effort", "deg/tick", of("steering", rms_step, 2), DEG),
+    Metric("steering_reversals", "Steering reversals", "", of("steering", reversals, 2)),
+    Metric("steering_reversal_rate", "Steering reversals per second", "1/s", reversal_rate),
+    Metric("time_at_limit", "Time at the angle bound", "s", time_at_limit),
     # Controller
-    Metric(
-        "time_constrained",
-        *("Time with active constraints", "s", LOWER),
-        of_tick("active_constraints", time_nonzero),
-        note="of the controller",
+    Metric("time_constrained", "Time with active constraints", "s", time_of("active_constraints")),
+    Metric("time_clipped", "Time clipped by the guard", "s", time_of("clipped")),
+    Metric("fall_backs", "Fallback", "ticks", of_tick("rung", count_fallback)),
+    *(
+        Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", count_of("rung", k))
+        for k, name in enumerate(RUNGS)
     ),
-    Metric(
-        "time_clipped",
-        *("Time clipped by the guard", "s", LOWER),
-        of_tick("clipped", time_nonzero),
-    ),
-    Metric(
-        "fall_backs",
-        *("Fallback", "ticks", LOWER),
-        of_tick("rung", lambda _, rung: int((rung >= SHIFTED_PLAN).sum())),
-        note="ticks below the rung 'slack'",
-    ),
-    *rung_metrics(),
-    Metric(
-        "unsolved_ticks",
-        *("Unsolved QPs", "ticks", LOWER),
-        of_tick("converged", partial(count_equal, 0)),
-    ),
-    Metric(
-        "stop_requests",
-        *("Stop requests", "", LOWER),
-        of_tick("stop_requested", count_begins),
-        note="number of times that a request begins",
-    ),
-    *solve_time_metrics(),
+    Metric("unsolved_ticks", "Unsolved QPs", "ticks", count_of("converged", 0)),
+    Metric("stop_requests", "Stop requests", "", of_tick("stop_requested", count_begins)),
+    *solve_time_metrics("median", "p50", "median", 50.0),
+    *solve_time_metrics("p99", "p99", "99th percentile", 99.0),
+    *solve_time_metrics("max", "max", "largest", 100.0),
 )
 METRICS = {metric.key: metric for metric in TABLE}
+BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
+NOTES = {
+    "missed_ticks": "gaps between the stamps of commands",
+    "duration": "from the first to the last command",
+    "distance": "integral of the measured speed",
+    "p95_cross_track_error": "of the absolute value",
+    "max_lateral_acceleration": "speed times yaw rate",
+    "steering_effort": "RMS increment of the command",
+    "steering_reversals": BAND,
+    "steering_reversal_rate": BAND,
+    "time_at_limit": "command within 1 mrad of the bound",
+    "time_constrained": "of the controller",
+    "fall_backs": "ticks below the rung 'slack'",
+    "stop_requests": "number of times that a request begins",
+}
+"""Definition of metrics whose title is not enough, by key."""
 RESULT = (
     *("ticks", "missed_ticks", "mse_m2", "mse_lateral_m2", "rms_error_m", "p95_error_m"),
     *("max_error_m", "rms_heading_error_deg", "steering_rms_increment_deg"),

@@ -114,7 +114,7 @@ def controller_of(contender: Contender, conditions: Conditions) -> Controller:
     return make_controller(choices)
 
 
-def simulation_of(conditions: Conditions, scenario: Scenario) -> TrueStateSimulation:
+def build_simulation(conditions: Conditions, scenario: Scenario) -> TrueStateSimulation:
     """Build the simulated car; its noise starts with the same seed in every cell."""
     vehicle = load_vehicle(find("vehicles", conditions.vehicle))
     steering = replace(vehicle.steering, delay=vehicle.steering.delay + conditions.delay)
@@ -132,7 +132,7 @@ def drive_cell(contender: Contender, scenario: Scenario, conditions: Conditions)
     """Drive one cell; a controller that raises a ValueError ends the drive with this reason."""
     controller, simulation = (
         controller_of(contender, conditions),
-        simulation_of(conditions, scenario),
+        build_simulation(conditions, scenario),
     )
     try:
         steered = drive(simulation, controller)

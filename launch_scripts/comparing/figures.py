@@ -37,7 +37,7 @@ def colors_of(labels: Sequence[str]) -> dict[str, tuple[str, Any]]:
     return {label: CONTROLLER_STYLES.get(label) or next(spare) for label in labels}
 
 
-def draw_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, Any]]) -> Figure:
+def draw_scenario(cells: Sequence[Cell], colors: Mapping[str, tuple[str, Any]]) -> Figure:
     """Return path, errors and steering of all controllers that drove a road (at least one)."""
     shown = {cell.contender: cell.driven for cell in cells if cell.driven is not None}
     path = next(iter(shown.values())).path

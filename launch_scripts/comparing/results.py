@@ -17,7 +17,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import LOST, METRICS
 from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.comparing.cells import QUANTITIES, Cell, Conditions, Contender, best_of
-from launch_scripts.comparing.figures import colors_of, draw_road
+from launch_scripts.comparing.figures import colors_of, draw_scenario
 from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
 from launch_scripts.reporting.markdown import markdown_table
 from launch_scripts.reporting.pages import data, render
@@ -80,7 +80,7 @@ def three_digits(value: float) -> str:
     return f"{value:.{max(2 - math.floor(math.log10(abs(value))), 0)}f}"
 
 
-def describe(conditions: Conditions) -> str:
+def describe_conditions(conditions: Conditions) -> str:
     """Return the common conditions in words."""
     friction = conditions.friction
     road = "friction of the tyres" if friction is None else f"friction {friction:g}"
@@ -114,7 +114,7 @@ def reasons(comparison: Comparison) -> list[str]:
 def terminal_table(comparison: Comparison, key: str) -> Table:
     """Return one metric as a table for the terminal."""
     legend = f"{MARK} smallest of its scenario; lost: cross-track error above {LOST:g} m"
-    title = f"{heading_of(key)}; {describe(comparison.conditions)}"
+    title = f"{heading_of(key)}; {describe_conditions(comparison.conditions)}"
     caption = Text("\n".join([legend, *reasons(comparison)]))
     table = Table(title=Text(title), caption=caption, title_justify="left")
     table.caption_justify = "left"
@@ -141,18 +141,18 @@ def write_comparison(
     """
     matrix, roads = draw_matrix(comparison, key), road_figures(comparison)
     page = comparison_page(comparison, key, svg(matrix), {k: svg(f) for k, f in roads.items()})
-    content = json.dumps(json_content(comparison), indent=1, allow_nan=False) + "\n"
+    content = json.dumps(comparison_json(comparison), indent=1, allow_nan=False) + "\n"
     texts = {
         "page.html": page,
         "compare.json": content,
-        "compare.md": markdown(comparison),
+        "compare.md": comparison_markdown(comparison),
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     save_png(matrix, folder / "compare.png")
     files = [*texts, "compare.png"]
     if "csv" in formats:
-        write_csv(comparison, folder / "compare.csv")
+        write_cells(comparison, folder / "compare.csv")
         files.append("compare.csv")
     figures = {"compare": matrix} | {f"compare_{name}": each for name, each in roads.items()}
     return files + [file.name for file in save_figures(figures, folder / "compare", formats)]
@@ -172,7 +172,7 @@ def draw_matrix(comparison: Comparison, key: str) -> Figure:
         ]
         for _, cells in comparison.marked_rows(key)
     ]
-    title = f"{heading_of(key)}\n{describe(comparison.conditions)}"
+    title = f"{heading_of(key)}\n{describe_conditions(comparison.conditions)}"
     names = [scenario.name for scenario in comparison.scenarios]
     labels = [name.replace("=", "=\n") for name in comparison.labels]
     return draw_heat_map(title, names, labels, squares)
@@ -182,13 +182,13 @@ def road_figures(comparison: Comparison) -> dict[str, Figure]:
     """Return the figure of each scenario that at least one controller has driven."""
     colors = colors_of(comparison.labels)
     return {
-        name: draw_road(cells, colors)
+        name: draw_scenario(cells, colors)
         for name, cells in comparison.rows()
         if any(cell.driven for cell in cells)
     }
 
 
-def write_csv(comparison: Comparison, file: Path) -> None:
+def write_cells(comparison: Comparison, file: Path) -> None:
     """Write one row per cell; metrics of drives that were not completed are empty."""
     heads = [f"{key} [{METRICS[key].unit}]" for key in QUANTITIES.values()]
     with file.open("w", encoding="utf-8", newline="") as stream:
@@ -199,15 +199,15 @@ def write_csv(comparison: Comparison, file: Path) -> None:
             writer.writerow([cell.scenario, cell.contender, cell.outcome, *numbers])
 
 
-def markdown(comparison: Comparison) -> str:
+def comparison_markdown(comparison: Comparison) -> str:
     """Return the tables of all metrics as Markdown."""
     lines = [
         "# Controllers and scenarios",
         "",
-        f"`{comparison.command}`: {describe(comparison.conditions)}; AMPC for ROS 2 {__version__}. "
-        "Every cell is a drive of the same car with the same seed. Errors are those of the true "
-        "state, without measurement noise. Bold: smallest of its scenario. Lost: cross-track "
-        f"error above {LOST:g} m at any time.",
+        f"`{comparison.command}`: {describe_conditions(comparison.conditions)}; "
+        f"AMPC for ROS 2 {__version__}. Every cell is a drive of the same car with the same seed. "
+        "Errors are those of the true state, without measurement noise. Bold: smallest of its "
+        f"scenario. Lost: cross-track error above {LOST:g} m at any time.",
     ]
     for key in QUANTITIES.values():
         lines += ["", f"## {heading_of(key)}", ""]
@@ -228,7 +228,7 @@ def bold(text: str, best: bool) -> str:
     return f"**{text}**" if best else text
 
 
-def json_content(comparison: Comparison) -> dict[str, Any]:
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return all numbers, and everything that is needed to reproduce them."""
     cells, controllers = [], []
     for cell in comparison.cells:
@@ -274,7 +274,7 @@ def comparison_page(comparison: Comparison, key: str, matrix: str, roads: dict[s
     return render(
         "comparing/compare.html",
         comparison=comparison,
-        conditions=describe(conditions),
+        conditions=describe_conditions(conditions),
         lost=f"{LOST:g} m",
         title=METRICS[key].title,
         matrix=matrix,

@@ -146,7 +146,7 @@ def judge_columns(
         ValueError: The bag contains fewer than two states.
     """
     notes = [*columns.notes, *context.notes, *missing(columns)]
-    rows, steering = ticks_of(columns, notes)
+    rows, steering = tick_rows(columns, notes)
     if len(rows) < 2:
         raise ValueError(f"{columns.bag}: {len(rows)} usable states, 2 are needed")
     time, states = rows[:, 0], rows[:, 1:]
@@ -182,7 +182,7 @@ def missing(columns: BagColumns) -> list[str]:
     return [f"The bag contains {'; '.join(absent)}."] if absent else []
 
 
-def ticks_of(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
+def tick_rows(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     """Return time and state of each tick (n, 7), and the commanded angle (n,) [rad]."""
     odom = columns.values[ros.ODOM]
     commands = columns.values.get(ros.STEERING_COMMAND, NO_POINTS)
@@ -240,9 +240,9 @@ def run_context_of(
         notes.append(
             f"The bag contains no controller/configuration: vehicle, settings and bounds {source}."
         )
-    chassis = section(ChassisParameters, control, "chassis", notes)
+    chassis = read_section(ChassisParameters, control, "chassis", notes)
     chassis = chassis or (vehicle and vehicle.chassis)
-    size = section(SizeParameters, simulated, "size", notes) or (vehicle and vehicle.size)
+    size = read_section(SizeParameters, simulated, "size", notes) or (vehicle and vehicle.size)
     if size is None:
         notes.append("The bag contains no size of the car: its outline on the map is assumed.")
     versions = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
@@ -257,21 +257,21 @@ def run_context_of(
             notes.append(
                 "Errors are those of the point that odom describes (centre of gravity unknown)."
             )
-    steering = section(SteeringParameters, control, "steering", notes)
+    steering = read_section(SteeringParameters, control, "steering", notes)
     return RunContext(
         str(control.get("controller", controller)),
         str(control.get("version", "")),
         chassis,
         steering or (vehicle and vehicle.steering),
-        section(ControllerSettings, control, "settings", notes) or settings,
+        read_section(ControllerSettings, control, "settings", notes) or settings,
         size,
-        section(GuardLimits, control, "guard", notes),
+        read_section(GuardLimits, control, "guard", notes),
         float(to_cg),
         notes,
     )
 
 
-def section(cls: type[T], content: Any, name: str, notes: list[str]) -> T | None:
+def read_section(cls: type[T], content: Any, name: str, notes: list[str]) -> T | None:
     """Return one section of a configuration; append a note and return None where it is invalid."""
     if not isinstance(content, Mapping) or name not in content:
         return None

@@ -80,10 +80,10 @@ def event(label: str, number: int, time: Array, active: NDArray[np.bool_]) -> Ev
     begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     ends = np.minimum(ends, len(time) - 1)  # a tick lasts until the next one
     spans = np.column_stack((time[begins], time[ends]))
-    return Event(label, number, joined(spans), int(active.sum()))
+    return Event(label, number, join_intervals(spans), int(active.sum()))
 
 
-def joined(spans: Array) -> Array:
+def join_intervals(spans: Array) -> Array:
     """Join the nearest intervals until at most `BARS` remain."""
     if len(spans) <= BARS:
         return spans

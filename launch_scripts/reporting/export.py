@@ -49,7 +49,7 @@ def export_report(file: Path, drives: Sequence[JudgedDrive], formats: Sequence[s
     for drive in drives if "csv" in formats else ():
         suffix = f"_{re.sub(r'[^A-Za-z0-9_.-]', '_', drive.name)}" if len(drives) > 1 else ""
         files.append(file.with_name(f"{file.stem}{suffix}.csv"))
-        write_csv(drive, files[-1])
+        write_time_series(drive, files[-1])
     if not {"svg", "pdf"} & set(formats):
         return files
     figures = {"map": map_figure(drives)}
@@ -63,7 +63,7 @@ def export_report(file: Path, drives: Sequence[JudgedDrive], formats: Sequence[s
     return files + save_figures(named, file, formats)
 
 
-def write_csv(drive: JudgedDrive, file: Path) -> None:
+def write_time_series(drive: JudgedDrive, file: Path) -> None:
     """Write one row per tick; the header contains name and unit of each column."""
     columns = time_series(drive)
     with file.open("w", encoding="utf-8", newline="") as stream:

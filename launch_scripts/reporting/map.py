@@ -1,6 +1,7 @@
 """Map of the report: paths, and the data from which the page moves the cars along them."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from ampc_msgs_config.types import Array
 from launch_scripts.bags.bag_columns import BagColumns
 from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
 from launch_scripts.reporting.lines import PALETTE, rounded, thinned_curve
+from launch_scripts.reporting.panels import LAYOUT
 
 MAX_FRAMES = 4000
 """Positions of the cars of all drives together; the page interpolates linearly between them."""
@@ -27,7 +29,7 @@ CENTIMETRE, MILLIRADIAN, MILLISECOND = 2, 4, 3
 """Decimals to which positions, angles and times are rounded."""
 
 
-class Map(NamedTuple):
+class ReportMap(NamedTuple):
     """Figure and moving parts."""
 
     figure: go.Figure
@@ -35,7 +37,7 @@ class Map(NamedTuple):
     """Data of each drive for the script of the page; see `motion`."""
 
 
-def draw_map(drives: Sequence[JudgedDrive], points: int) -> Map:
+def draw_map(drives: Sequence[JudgedDrive], points: int) -> ReportMap:
     """Return the map of one or several drives; a path that they share is drawn once."""
     figure, moving = go.Figure(), []
     reference = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
@@ -49,8 +51,8 @@ def draw_map(drives: Sequence[JudgedDrive], points: int) -> Map:
         first, color = len(figure.data), PALETTE[k % len(PALETTE)]
         add_car(figure, color, k == 0)
         moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
-    set_map_layout(figure)
-    return Map(figure, moving)
+    set_map_layout(figure, 76 if len(drives) == 1 else 104)
+    return ReportMap(figure, moving)
 
 
 def paths_of(drives: Sequence[JudgedDrive]) -> list[Array]:
@@ -105,29 +107,15 @@ def add_curve(
 
 def add_car(figure: go.Figure, color: str, legend: bool) -> None:
     """Add the moving traces of a car: prediction, outline, and a marker of fixed size."""
+    add = partial(figure.add_scatter, x=[], y=[], hoverinfo="skip")
+    prediction = {"color": "#000000", "width": 2.5, "dash": "dot"}
+    name = f"predicted path, at most {OLDEST:g} s old"
+    add(mode="lines", name=name, showlegend=legend, line=prediction)
+    outline = {"color": color, "width": 2}
+    add(mode="lines", fill="toself", fillcolor=f"{color}55", showlegend=False, line=outline)
     marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
-    for style in (
-        {
-            "mode": "lines",
-            "name": f"predicted path, at most {OLDEST:g} s old",
-            "showlegend": legend,
-            "line": {"color": "#000000", "width": 2.5, "dash": "dot"},
-        },
-        {
-            "mode": "lines",
-            "fill": "toself",
-            "fillcolor": f"{color}55",
-            "line": {"color": color, "width": 2},
-            "showlegend": False,
-        },
-        {
-            "mode": "markers",
-            "name": "car",
-            "showlegend": legend,
-            "marker": marker | {"line": {"color": "white", "width": 1.5}},
-        },
-    ):
-        figure.add_scatter(x=[], y=[], hoverinfo="skip", **style)
+    marker["line"] = {"color": "white", "width": 1.5}
+    add(mode="markers", name="car", showlegend=legend, marker=marker)
 
 
 def centres(drive: JudgedDrive) -> Array:
@@ -188,24 +176,15 @@ def to_plain(values: Array, decimals: int = CENTIMETRE) -> list[float | None]:
     return [v if np.isfinite(v) else None for v in np.round(values, decimals).tolist()]
 
 
-def set_map_layout(figure: go.Figure) -> None:
-    """Set the layout of the map with equal scales of both axes."""
+def set_map_layout(figure: go.Figure, bottom: int) -> None:
+    """Set the layout with equal scales of both axes, and the margin of the legend [px]."""
+    legend = {"orientation": "h", "yanchor": "bottom", "y": 0, "yref": "container"}
     figure.update_layout(
-        template="none",
-        margin={"l": 64, "r": 12, "t": 34, "b": 76},
-        font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+        LAYOUT,
+        margin={"l": 64, "r": 12, "t": 34, "b": bottom},
         dragmode="pan",
         hovermode="closest",
-        legend={
-            "orientation": "h",
-            "yanchor": "bottom",
-            "y": 0,
-            "yref": "container",
-            "xanchor": "left",
-            "x": 0,
-        },
-        paper_bgcolor="white",
-        plot_bgcolor="white",
+        legend=legend | {"xanchor": "left", "x": 0},
     )
     grid = {"gridcolor": "#e4e4e4", "zeroline": False, "ticks": "outside"}
     figure.update_xaxes(title={"text": "x in the map [m]", "standoff": 4}, **grid)

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.metrics import METRICS, Value
+from ampc_msgs_config.metrics import METRICS, NOTES, Value
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.reporting.drive import JudgedDrive
 from launch_scripts.reporting.events import EVENTS, draw_events
@@ -102,7 +102,7 @@ def fill_page(drives: Sequence[JudgedDrive], thresholds: str, command: str, poin
             [key, *(each.get(key, NO_DATA) for each in facts)]
             for key in dict.fromkeys(key for each in facts for key in each)
         ],
-        configurations=[configurations(drive) for drive in drives],
+        configurations=[configuration_texts(drive) for drive in drives],
         points=points,
         command=command,
         version=__version__,
@@ -151,7 +151,7 @@ def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
     rows: Rows = []
     for key, values in visible_metrics(drives):
         metric = METRICS[key]
-        note = Markup("<small>{}</small>").format(metric.note) if metric.note else ""
+        note = Markup("<small>{}</small>").format(NOTES[key]) if key in NOTES else ""
         cells = [
             NO_DATA if v is None else num(v if isinstance(v, int) else v * metric.scale)
             for v in values
@@ -208,7 +208,7 @@ def format_begin(start_ns: int) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def configurations(drive: JudgedDrive) -> dict[str, str]:
+def configuration_texts(drive: JudgedDrive) -> dict[str, str]:
     """Return the YAML text of each node's configuration, truncated where it is very long."""
     texts = {}
     for node, content in drive.columns.configuration.items():

@@ -31,6 +31,15 @@ ROW, FIRST_ROW, LEGEND = 120, 250, 50
 """Height of further rows, of the first row, of a legend with many entries [px]."""
 
 
+LAYOUT = {
+    "template": "none",
+    "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+    "paper_bgcolor": "white",
+    "plot_bgcolor": "white",
+}
+"""Layout of all figures of the page."""
+
+
 class Axis(NamedTuple):
     """One row of a panel."""
 
@@ -275,17 +284,14 @@ def log_ticks(figure: go.Figure, row: int) -> dict[str, list[Any]]:
 def set_layout(figure: go.Figure, height: int) -> None:
     """Set the layout that all charts over time share."""
     figure.update_layout(
-        template="none",
+        LAYOUT,
         height=height,
         margin={"l": 64, "r": 12, "t": 8, "b": 44},
-        font={"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         hovermode="x unified",
         hoverlabel={"bgcolor": "white"},
         dragmode="zoom",
         showlegend=True,
         legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0},
-        paper_bgcolor="white",
-        plot_bgcolor="white",
     )
     figure.update_xaxes(gridcolor="#e4e4e4", zeroline=False, ticks="outside")
     figure.update_yaxes(

@@ -100,7 +100,7 @@ def controller_label(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def prepare(options: argparse.Namespace) -> Run:
+def prepare_run(options: argparse.Namespace) -> Run:
     """Load everything that the options name, and create the folder of the run.
 
     Raises:

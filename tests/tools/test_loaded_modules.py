@@ -30,7 +30,7 @@ before = loaded(PROJECT)
 assert not loaded(("matplotlib", "plotly"))
 from launch_scripts.nodes import drive_watch
 options = start.read_run_options(["--output", sys.argv[2] + "/run"], None)
-run = start.prepare(options)
+run = start.prepare_run(options)
 Path(sys.argv[1]).rename(run.bag)
 assert start.finish(run, start.RunEnded("completed", 0), Console()) == 0
 """
