@@ -209,7 +209,7 @@ def test_scratch_memory_is_enough_for_every_gain_table(
 
 @pytest.mark.parametrize("solver", ["active_set", "hildreth"])
 def test_scratch_memory_is_enough_for_the_largest_gains_and_longest_delay(solver: str) -> None:
-    highest = [int(BOUNDS[key]["high"]) for key in Gains._fields[:3]]
+    highest = [int(BOUNDS[key].le) for key in Gains._fields[:3]]
     gains = Gains(*highest, 0.0, 1.0, 1e3)  # type: ignore[call-arg]
     limits = replace(
         SETTINGS, max_output_error=0.05, solver=solver, hildreth_sweeps=2.0, sample_time=0.01

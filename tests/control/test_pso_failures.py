@@ -90,13 +90,13 @@ def test_invalid_bounds_are_rejected_with_name_value_and_bound(
     ("chosen", "message"),
     [
         ({"particles": 1}, r"particles = 1 must lie in \[2, 1e\+06\]"),
-        ({"particles": 20.5}, "particles = 20.5 must be an integer"),
+        ({"particles": 20.5}, "particles = 20.5 must be a whole number"),
         ({"generations": -1}, r"generations = -1 must lie in \[0, 1e\+06\]"),
         ({"max_velocity": 0.0}, "max_velocity = 0.0 must lie in"),
         ({"max_velocity": math.nan}, "max_velocity = nan must lie in"),
         ({"variant": "bees"}, "variant = 'bees' must be one of proposed, linear"),
         ({"boundary": "wrap"}, "boundary = 'wrap' must be one of clip, absorb, reflect"),
-        ({"schedule_length": 2.5}, "schedule_length = 2.5 must be an integer"),
+        ({"schedule_length": 2.5}, "schedule_length = 2.5 must be a whole number"),
         ({"min_inertia": 1.0}, "min_inertia = 1.0 must be at most max_inertia = 0.99"),
     ],
 )

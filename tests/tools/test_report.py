@@ -152,7 +152,7 @@ def test_a_topic_of_a_wrong_type_is_left_out_by_name(tmp_path: Path) -> None:
 def test_a_configuration_that_is_none_is_left_out_by_name(tmp_path: Path) -> None:
     text = {"/controller/configuration": [(NANOSECONDS, String(data="chassis: {mass: -1"))]}
     drive = judged(write_messages(tmp_path / "bag", foreign(topics=text)))
-    assert any("controller/configuration: not YAML" in note for note in drive.notes)
+    assert any("controller/configuration is no YAML" in note for note in drive.notes)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -3.0, 7.5, 1e300])

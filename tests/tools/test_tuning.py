@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from ampc_ros.pso.minimize import minimize
-from ampc_ros.pso.swarm import PsoSettings, Swarm
-from launch_scripts.run.json_values import to_json
+from ampc_ros.pso.swarm import PsoSettings, Swarm, swarm_to_json
 from launch_scripts.tune import build_parser, command_of, main
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
@@ -175,7 +174,7 @@ def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
     kept.save("x", swarm())
     loaded = kept.load("x")
     assert loaded is not None
-    assert json.dumps(to_json(loaded)) == json.dumps(to_json(swarm()))
+    assert json.dumps(swarm_to_json(loaded)) == json.dumps(swarm_to_json(swarm()))
     assert kept.load("y") is None
 
 

@@ -17,11 +17,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"ampc_msgs_config", "ampc_ros", "launch_scripts", "sim_vehicle"}
 KEYS = {
     "PIL": "python3-pil",
+    "jinja2": "python3-jinja2",
+    "markupsafe": "python3-markupsafe",
     "yaml": "python3-yaml",
     **{name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "rich", "scipy")},
 }
 """rosdep keys by module name."""
-NO_KEY = {"lz4", "mcap", "plotly", "rosbags", "tsdownsample", "zstandard"}
+NO_KEY = {"lz4", "mcap", "msgspec", "plotly", "rosbags", "tsdownsample", "zstandard"}
 DEVELOPMENT = {
     *("casadi", "cma", "daqp", "do_mpc", "osqp", "piqp", "quadprog", "python3-scipy"),
     *("distributed", "setuptools", "vehiclemodels"),

@@ -8,8 +8,7 @@ import math
 
 import numpy as np
 
-from ampc_msgs_config.metrics import LOST
-from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path import MAX_PROJECTION_DISTANCE, Path
 from ampc_msgs_config.types import (
     FEED_FORWARD,
     LIMITS,
@@ -161,4 +160,4 @@ def refusal(state: VehicleState, diagnosis: Diagnosis) -> int:
         return BACKWARDS
     if state.v_x >= HOLD_BELOW and abs(diagnosis.heading_error) > math.pi / 2:
         return AGAINST_PATH
-    return OFF_PATH if abs(diagnosis.cross_track_error) > LOST else NO_REASON
+    return OFF_PATH if abs(diagnosis.cross_track_error) > MAX_PROJECTION_DISTANCE else NO_REASON
