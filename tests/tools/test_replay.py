@@ -44,7 +44,7 @@ Disturb = Callable[[Supervisor, int], None]
 
 
 def scenario_of(name: str, duration: float = 6.0) -> Scenario:
-    """Give the beginning of a scenario."""
+    """Return the beginning of a scenario."""
     return load_scenario(name, VEHICLE.size)._replace(duration=duration)
 
 
