@@ -34,7 +34,7 @@ from launch_scripts.comparing.cells import (
     drive_cell,
 )
 from launch_scripts.comparing.results import Comparison, terminal_table, write_comparison
-from launch_scripts.report import add_format_option
+from launch_scripts.reporting.pages import add_format_option
 from launch_scripts.run.options import controller_label, create_folder, resolve_controller
 from sim_vehicle.car import RANGES
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle

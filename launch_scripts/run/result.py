@@ -12,9 +12,9 @@ from ampc_msgs_config.metrics import METRICS, RESULT, evaluate
 from ampc_msgs_config.parameters import ControllerSettings
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
-from launch_scripts.report import write_report
 from launch_scripts.reporting.drive import judge_columns, run_context_of
-from launch_scripts.run.json_values import to_json
+from launch_scripts.reporting.page import write_report
+from launch_scripts.reporting.pages import to_json
 from launch_scripts.run.options import Run
 from sim_vehicle.parameters import load_vehicle
 

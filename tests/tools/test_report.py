@@ -18,10 +18,10 @@ from ampc_msgs_config.parameters import GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan
 from launch_scripts.report import main, names_of, page_file
 from launch_scripts.reporting import export, page
+from launch_scripts.reporting.charts import draw_panel, thinned
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
-from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
-from launch_scripts.reporting.panels import PANELS, Axis, Panel, draw_panel
+from launch_scripts.reporting.panels import PANELS, Axis, Panel, Series
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,
@@ -253,7 +253,7 @@ def thresholds(folder: Path, text: str) -> str:
     ("text", "code", "told"),
     [
         ("max_cross_track_error: 0.5\nmin_distance: 100", 0, "pass"),
-        ("max_cross_track_error: 0.01", 1, "FAIL"),
+        ("max_cross_track_error: 0.01", 1, "fail"),
         ("fall_backs: 48", 1, "49 ticks"),
         ("max_error: 0.5", 2, "limits.yaml: unknown key 'max_error'"),
         ("max_cross_track_error: wide", 2, "max_cross_track_error = 'wide' must be a number"),

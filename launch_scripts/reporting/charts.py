@@ -1,0 +1,378 @@
+"""Charts of the report page: drawing with plotly, and thinning that preserves the peaks."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
+
+from ampc_msgs_config.paths.path_fitting import make_path
+from ampc_msgs_config.types import Array
+from launch_scripts.bags.bag_columns import BagColumns
+from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
+from launch_scripts.reporting.panels import PALETTE, Panel, Series, events_of
+
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+ROW, FIRST_ROW, LEGEND = 120, 250, 50
+"""Height of further rows, of the first row, of a legend with many entries [px]."""
+EVENT_ROW = 34
+"""Height of a row of events without its bars [px]."""
+BARS = 400
+"""Largest number of bars of one row and drive; the nearest ones are joined."""
+AXIS = {"gridcolor": "#e4e4e4", "zeroline": False}
+TEMPLATE = {
+    "layout": {
+        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "hoverlabel": {"bgcolor": "white"},
+        "legend": {"orientation": "h", "yanchor": "bottom", "xanchor": "left", "x": 0},
+        "xaxis": AXIS | {"ticks": "outside", "title": {"standoff": 4}},
+        "yaxis": AXIS | {"title": {"standoff": 6}},
+    }
+}
+"""Style of all figures of the page."""
+TIME_LAYOUT = {
+    "template": TEMPLATE,
+    "margin": {"l": 64, "r": 12, "t": 8, "b": 44},
+    "hovermode": "x unified",
+    "dragmode": "zoom",
+    "legend": {"y": 1.0},
+}
+"""Layout of the charts over time."""
+LONG_GAP = 5.0
+"""A line is interrupted where data are missing for more than this many median steps."""
+DIGITS = 4
+"""Digits of the range of a line that remain after rounding; they decide the size of the page."""
+FEW = 4
+"""Smallest number of points of a thinned line."""
+SHAPE, EXTREMES = MinMaxLTTBDownsampler(), MinMaxDownsampler()
+Indices = NDArray[np.int64]
+
+
+MAX_FRAMES = 4000
+"""Positions of the cars of all drives together; the page interpolates linearly between them."""
+MAX_PREDICTED = 1000
+"""Predictions of all drives together."""
+PREDICTED_POINTS = 12
+"""Points of one prediction."""
+MAX_PATHS = 20
+"""Reference paths of one drive, about."""
+OLDEST = 1.0
+"""Largest age of a displayed prediction [s]."""
+CENTIMETRE, MILLIRADIAN, MILLISECOND = 2, 4, 3
+"""Decimals to which positions, angles and times are rounded."""
+
+
+def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.Figure:
+    """Return the chart of a panel, without traces where no drive has data.
+
+    Args:
+        panel: Entry of `PANELS`.
+        drives: One or several drives.
+        points: Approximate largest number of points of a line.
+    """
+    rows, several = len(panel.axes), len(drives) > 1
+    heights = [FIRST_ROW, *[ROW] * (rows - 1)]
+    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.06, row_heights=heights)
+    kinds: dict[str, Series] = {}
+    for row, axis in enumerate(panel.axes, 1):
+        for k, drive in enumerate(drives):
+            for series in axis.lines(drive):
+                time, values = thinned(series, points)
+                trace = line_of(series, series.color(k, len(drives)), several)
+                name = f"{drive.name}: {series.label}" if several else series.label
+                visible = not several and series.label not in kinds
+                trace.update(x=time, y=values, name=name, showlegend=visible, connectgaps=False)
+                kinds.setdefault(series.label, series)
+                figure.add_trace(trace, row, 1)
+        scale = log_ticks(figure, row) if axis.log else {}
+        if axis.visible:
+            scale["autorangeoptions"] = {"include": list(axis.visible)}
+            scale["rangemode"] = "nonnegative" if min(axis.visible) == 0.0 else "normal"
+        figure.update_yaxes(title_text=axis.title, **scale, row=row)
+    # With several drives, colours are drives: one legend entry per dash explains the quantities.
+    for series in kinds.values() if several else ():
+        figure.add_trace(line_of(series, "#404040", True).update(x=[None], y=[None]))
+    height = sum(heights) + (LEGEND if len(kinds) > 2 else 0)
+    figure.update_layout(TIME_LAYOUT, height=height, showlegend=len(kinds) > 1)
+    figure.update_xaxes(title_text="time [s]", row=rows)
+    figure.update_yaxes(zeroline=True, zerolinecolor="#9a9a9a")
+    return figure
+
+
+def line_of(series: Series, color: str, several: bool) -> go.Scatter:
+    """Return a trace without points in the style of a series."""
+    dash = DASHES[series.kind % len(DASHES)] if several or series.bound else "solid"
+    shape, width = "hv" if series.step else "linear", 1.2 if series.bound else 1.8
+    return go.Scatter(
+        name=series.label,
+        legendgroup=series.label,
+        mode="lines",
+        line={"color": color, "width": width, "dash": dash, "shape": shape},
+    )
+
+
+def log_ticks(figure: go.Figure, row: int) -> dict[str, Any]:
+    """Return a logarithmic scale with ticks 1, 2, 5 of each decade that a row's lines reach."""
+    axis = "y" if row == 1 else f"y{row}"
+    lines = [line.y for line in figure.data if line.yaxis == axis]
+    values = [value for line in lines for value in line if value and value > 0]
+    low, high = min(values, default=1.0), max(values, default=1.0)
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1, 2, 5) if len(decades) < 4 else (1,)
+    ticks = [step * 10.0**decade for decade in decades for step in steps]
+    return {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
+
+
+def draw_events(drives: Sequence[JudgedDrive]) -> go.Figure | None:
+    """Return the chart of all events, one row per label; None without events."""
+    events = events_of(drives)
+    if not events:
+        return None
+    labels = list(dict.fromkeys(each.label for each in events))
+    figure, several = go.Figure(), len(drives) > 1
+    for each in events:
+        place = each.drive / (len(drives) - 1) if several else 0.5
+        y = labels.index(each.label) + 0.06 + 0.3 * place
+        spans = join_intervals(each.spans)
+        x = [value for begin, end in spans.round(3).tolist() for value in (begin, end, None)]
+        figure.add_scatter(
+            x=x,
+            y=[None if value is None else y for value in x],
+            mode="lines+markers",  # the markers show the shortest intervals, too
+            name=f"{drives[each.drive].name}: {each.label}" if several else each.label,
+            line={"color": PALETTE[each.drive % len(PALETTE)], "width": 5 if several else 8},
+            marker={"size": 4, "symbol": "line-ns-open"},
+            hovertemplate=f"{each.ticks} ticks<br>%{{x:.2f}} s<extra>{each.label}</extra>",
+        )
+    height = 60 + (EVENT_ROW + 6 * len(drives)) * len(labels)
+    figure.update_layout(TIME_LAYOUT, height=height, showlegend=False, hovermode="closest")
+    figure.update_xaxes(title_text="time [s]")
+    figure.update_yaxes(showticklabels=False, range=[len(labels) - 0.4, -0.5], showgrid=False)
+    # Labels are inside the chart, so that the time axes of all charts are aligned.
+    for row, label in enumerate(labels):
+        at = {"x": 0, "xref": "paper", "xanchor": "left", "y": row - 0.24, "yanchor": "middle"}
+        figure.add_annotation(text=label, showarrow=False, **at)
+    return figure
+
+
+def join_intervals(spans: Array) -> Array:
+    """Join the nearest intervals until at most `BARS` remain."""
+    if len(spans) <= BARS:
+        return spans
+    gaps = spans[1:, 0] - spans[:-1, 1]
+    apart = np.sort(np.argsort(gaps)[-(BARS - 1) :])
+    begins = np.concatenate((spans[:1, 0], spans[apart + 1, 0]))
+    return np.column_stack((begins, np.concatenate((spans[apart, 1], spans[-1:, 1]))))
+
+
+def draw_map(drives: Sequence[JudgedDrive], points: int) -> tuple[go.Figure, list[dict[str, Any]]]:
+    """Return the map of one or several drives, and the data of each for the script of the page.
+
+    A path that several drives share is drawn once.
+    """
+    figure, moving = go.Figure(), []
+    reference = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
+    for number, path in enumerate(paths_of(drives)):
+        add_curve(figure, path, points, "reference path", reference, number == 0)
+    for k, drive in enumerate(drives):
+        line = {"color": PALETTE[k % len(PALETTE)], "width": 2, "simplify": False}
+        label = "driven path" if len(drives) == 1 else drive.name
+        add_curve(figure, drive.centres, points, label, line)
+    for k, drive in enumerate(drives):
+        first, color = len(figure.data), PALETTE[k % len(PALETTE)]
+        add_car(figure, color, k == 0)
+        moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
+    figure.update_layout(
+        template=TEMPLATE,
+        margin={"l": 64, "r": 12, "t": 34, "b": 76 if len(drives) == 1 else 104},
+        dragmode="pan",
+        hovermode="closest",
+        legend={"y": 0, "yref": "container"},
+    )
+    figure.update_xaxes(title_text="x in the map [m]")
+    figure.update_yaxes(
+        title_text="y in the map [m]", scaleanchor="x", scaleratio=1, ticks="outside"
+    )
+    return figure, moving
+
+
+def paths_of(drives: Sequence[JudgedDrive]) -> list[Array]:
+    """Return the different reference paths of all drives, each (n, 2) [m]."""
+    paths: list[Array] = []
+    for drive in drives:
+        for path in visible_paths(drive.columns):
+            if not any(np.array_equal(path, other) for other in paths):
+                paths.append(path)
+    return paths
+
+
+def visible_paths(columns: BagColumns) -> list[Array]:
+    """Return the last reference path before the start, and about `MAX_PATHS` later ones."""
+    later = [path.points for path in columns.paths if path.time > 0.0]
+    before = [path.points for path in columns.paths if path.time <= 0.0][-1:]
+    chosen = before + later[:: max(1, len(later) // MAX_PATHS)]
+    return [smooth(points) for points in chosen]
+
+
+def smooth(points: Array) -> Array:
+    """Return the curve to which the errors refer, or the points where no curve can be fitted."""
+    try:
+        path = make_path(points)
+    except ValueError:
+        return points
+    return np.column_stack((path.x, path.y))
+
+
+def add_curve(
+    figure: go.Figure,
+    curve: Array,
+    points: int,
+    name: str,
+    line: dict[str, Any],
+    legend: bool = True,
+) -> None:
+    """Add a curve (n, 2) [m] in the plane, thinned to about `points` points."""
+    x, y = thinned_curve(curve, points).T
+    hover = "skip" if name == "reference path" else None
+    figure.add_scatter(
+        x=to_plain(x),
+        y=to_plain(y),
+        mode="lines",
+        name=name,
+        legendgroup=name,
+        showlegend=legend,
+        line=line,
+        hoverinfo=hover,
+    )
+
+
+def add_car(figure: go.Figure, color: str, legend: bool) -> None:
+    """Add the moving traces of a car: prediction, outline, and a marker of fixed size."""
+    add = partial(figure.add_scatter, x=[], y=[], hoverinfo="skip")
+    prediction = {"color": "#000000", "width": 2.5, "dash": "dot"}
+    name = f"predicted path, at most {OLDEST:g} s old"
+    add(mode="lines", name=name, showlegend=legend, line=prediction)
+    outline = {"color": color, "width": 2}
+    add(mode="lines", fill="toself", fillcolor=f"{color}55", showlegend=False, line=outline)
+    marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
+    marker["line"] = {"color": "white", "width": 1.5}
+    add(mode="markers", name="car", showlegend=legend, marker=marker)
+
+
+def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
+    """Return what the page needs to draw a car at any time."""
+    time, steering = drive.record.time, drive.record.steering
+    kept = even_choice(len(time), MAX_FRAMES // drives)
+    x, y, yaw, speed = drive.states[kept, :4].T
+    error, heading = drive.errors[kept].T
+    return {
+        "name": drive.name,
+        "cg": drive.context.to_cg,
+        "outline": drive.context.outline.round(3).tolist(),
+        "t": to_plain(time[kept], MILLISECOND),
+        "x": to_plain(x),
+        "y": to_plain(y),
+        "yaw": to_plain(np.unwrap(yaw), MILLIRADIAN),
+        "speed": rounded(speed, 4),
+        "error": to_plain(error, 4),
+        "heading": to_plain(np.degrees(heading), 3),
+        "steering": rounded(np.degrees(steering[kept]) if len(steering) else steering, 4),
+        "rung": rungs(drive, time[kept]),
+        "predictions": predictions(drive, MAX_PREDICTED // drives),
+    }
+
+
+def even_choice(count: int, most: int) -> NDArray[np.int64]:
+    """Return at most `most` indices below `count`, evenly spaced, with both ends."""
+    return np.asarray(np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)))
+
+
+def rungs(drive: JudgedDrive, time: Array) -> list[int]:
+    """Return the rung at the given times [s], or an empty list where the bag has none."""
+    rows = drive.record.tick.get("rung", NO_POINTS)
+    if not len(rows):
+        return []
+    at = np.searchsorted(rows[:, 0], time, side="right") - 1
+    return [int(value) for value in np.clip(rows[np.maximum(at, 0), 1], *INDEX_RANGE)]
+
+
+def predictions(drive: JudgedDrive, most: int) -> list[dict[str, Any]]:
+    """Return at most `most` predicted paths, evenly spaced."""
+    samples, result = drive.columns.predictions, []
+    for sample in (samples[k] for k in even_choice(len(samples), most)):
+        x, y = sample.points[even_choice(len(sample.points), PREDICTED_POINTS)].T
+        result.append({"t": round(sample.time, MILLISECOND), "x": to_plain(x), "y": to_plain(y)})
+    return result
+
+
+def to_plain(values: Array, decimals: int = CENTIMETRE) -> list[float | None]:
+    """Return rounded Python numbers, with None in place of nan and infinity."""
+    return [v if np.isfinite(v) else None for v in np.round(values, decimals).tolist()]
+
+
+def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
+    """Return time and values of about `points` points, with all peaks; None marks a gap."""
+    finite = np.isfinite(series.values)
+    time, values = series.time[finite], series.values[finite]
+    keep: Indices = np.arange(len(time))
+    if series.step and len(time) > FEW:
+        keep = changes(values)
+    if len(keep) > points:
+        keep = keep[peaks(time[keep], values[keep], points)]
+    gaps = long_gaps(time)
+    keep = np.union1d(keep, np.concatenate((gaps, gaps + 1))).astype(int)
+    x, y = rounded(time[keep], 6), rounded(values[keep], DIGITS)
+    for place in np.flatnonzero(np.isin(keep, gaps))[::-1]:
+        x.insert(place + 1, x[place])
+        y.insert(place + 1, None)
+    return x, y
+
+
+def peaks(time: Array, values: Array, points: int) -> Indices:
+    """Choose indices by MinMaxLTTB, and the smallest and largest value of each bucket.
+
+    Largest triangles alone preserve the shape but may omit the top of a peak.
+    """
+    x, y = np.ascontiguousarray(time), np.ascontiguousarray(values)
+    shape = SHAPE.downsample(x, y, n_out=max(points, FEW))
+    extremes = EXTREMES.downsample(y, n_out=max(points // 8 * 2, FEW))
+    return np.asarray(np.union1d(shape, extremes), dtype=np.int64)
+
+
+def changes(values: Array) -> Indices:
+    """Return the indices at which a value changes, and both ends."""
+    moved = np.flatnonzero(np.diff(values)) + 1
+    return np.asarray(np.unique(np.concatenate(([0], moved, [len(values) - 1]))))
+
+
+def long_gaps(time: Array) -> Indices:
+    """Return the indices after which data are missing."""
+    steps = np.diff(time)
+    if not len(steps):
+        return np.empty(0, dtype=np.int64)
+    return np.asarray(np.flatnonzero(steps > LONG_GAP * max(float(np.median(steps)), 1e-9)))
+
+
+def rounded(values: Array, digits: int) -> list[Any]:
+    """Return the values as Python numbers, rounded to so many digits of their range."""
+    span = float(np.ptp(values)) if len(values) else 0.0
+    span = span or float(np.abs(values).max(initial=0.0)) or 1.0
+    places = digits - int(np.floor(np.log10(span))) - 1
+    return [int(v) if places <= 0 else v for v in np.round(values, max(places, 0)).tolist()]
+
+
+def thinned_curve(points: Array, most: int) -> Array:
+    """Return about `most` points of a curve (n, 2) in the plane, with the peaks of both axes."""
+    if len(points) <= most:
+        return points
+    place = np.arange(len(points), dtype=float)
+    chosen = [peaks(place, points[:, k], most // 2) for k in (0, 1)]
+    kept = np.unique(np.concatenate(([0], *chosen, [len(points) - 1])))
+    return np.asarray(points[kept])
