@@ -1,7 +1,7 @@
 """Options of a run, and a check of all names and files before any node starts."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,28 +49,11 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
         shown = "; default: %(default)s" if value not in (None, "") else ""
         parser.add_argument(name, default=value, help=f"{names}{text}{shown}".lstrip(), **how)
 
-    add_route_options(add)
-    add_car_options(add)
-    add("--real-time", False, "run freely instead of in lock-step", action="store_true")
-    add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
-    add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
-    return parser.parse_args(arguments)
-
-
-def add_route_options(add: Callable[..., None]) -> None:
-    """Add the options of scenario, path and speed."""
-    add("--scenario", "sc1", "scenario to drive", "scenarios")
-    add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
-    add("--speed", -1.0, "constant speed [m/s]; -1: that of the scenario or file", type=float)
-    text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
-    add("--lateral-acceleration", -1.0, text, type=float)
-    add("--laps", 1, "number of laps on the closed path of a CSV file", type=int)
-
-
-def add_car_options(add: Callable[..., None]) -> None:
-    """Add the options of car, controller, disturbances and faults."""
     default = Choices()
     names = f"{', '.join(CONTROLLERS)}, or a class of yours: my_file.py:MyController"
+    add("--scenario", "sc1", "scenario to drive", "scenarios")
+    add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
+    add_speed_options(parser)
     add("--vehicle", default.vehicle, "the car", "vehicles")
     add("--controller", default.controller, f"{names}; steers the car")
     add("--settings", default.settings, "limits of the controller", "controllers")
@@ -81,6 +64,20 @@ def add_car_options(add: Callable[..., None]) -> None:
     add("--seed", 0, "seed of the noise", type=int)
     text = "fault injection between simulator and controller, in real time; default: none"
     add("--faults", "", text, "faults")
+    add("--real-time", False, "run freely instead of in lock-step", action="store_true")
+    add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
+    add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
+    return parser.parse_args(arguments)
+
+
+def add_speed_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the speed along a path, and of its laps."""
+    add = parser.add_argument
+    text = "constant speed [m/s]; -1: that of the scenario or file"
+    add("--speed", type=float, default=-1.0, help=text)
+    text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
+    add("--lateral-acceleration", type=float, default=-1.0, help=text)
+    add("--laps", type=int, default=1, help="number of laps on the closed path of a CSV file")
 
 
 def resolve_controller(name: str) -> str:
