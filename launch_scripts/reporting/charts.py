@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io as pio
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
@@ -25,7 +26,7 @@ EVENT_ROW = 34
 BARS = 400
 """Largest number of bars of one row and drive; the nearest ones are joined."""
 AXIS = {"gridcolor": "#e4e4e4", "zeroline": False}
-TEMPLATE = {
+pio.templates["report"] = {
     "layout": {
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         "paper_bgcolor": "white",
@@ -36,9 +37,8 @@ TEMPLATE = {
         "yaxis": AXIS | {"title": {"standoff": 6}},
     }
 }
-"""Style of all figures of the page."""
 TIME_LAYOUT = {
-    "template": TEMPLATE,
+    "template": "report",
     "margin": {"l": 64, "r": 12, "t": 8, "b": 44},
     "hovermode": "x unified",
     "dragmode": "zoom",
@@ -190,7 +190,7 @@ def draw_map(drives: Sequence[JudgedDrive], points: int) -> tuple[go.Figure, lis
         add_car(figure, color, k == 0)
         moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
     figure.update_layout(
-        template=TEMPLATE,
+        template="report",
         margin={"l": 64, "r": 12, "t": 34, "b": 76 if len(drives) == 1 else 104},
         dragmode="pan",
         hovermode="closest",
