@@ -10,8 +10,7 @@ invalid.
 import argparse
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters
+from ampc_msgs_config.config import find, shipped
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.validation import check_range, number
@@ -37,12 +36,14 @@ from launch_scripts.comparing.results import Comparison, comparison_table, write
 from launch_scripts.reporting.pages import add_format_option
 from launch_scripts.run.options import (
     add_speed_options,
+    check_files,
     controller_label,
     create_folder,
+    naming,
     resolve_controller,
 )
 from sim_vehicle.car import RANGES
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
 """Roads of the paper and those derived from them, which are driven first."""
@@ -114,28 +115,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-@contextmanager
-def naming(option: str) -> Iterator[None]:
-    """Prefix the message of a ValueError with the invalid option."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"--{option}: {error}") from error
-
-
 def conditions_of(options: argparse.Namespace) -> Conditions:
     """Return the checked conditions of all cells.
 
     Raises:
         ValueError: Names option, value and bound.
     """
-    with naming("vehicle"):
-        load_vehicle(find("vehicles", options.vehicle))
-    with naming("settings"):
-        load(ControllerSettings, find("controllers", options.settings))
-    if options.noise:
-        with naming("noise"):
-            load(MeasurementNoise, find("noise", options.noise))
+    check_files(options)
     with naming("delay"):
         SteeringParameters(max_angle=1.0, delay=options.delay)
     for name, bounds in BOUNDS.items():

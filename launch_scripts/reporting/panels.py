@@ -252,15 +252,11 @@ class Event(NamedTuple):
 
 def events_of(drives: Sequence[JudgedDrive]) -> list[Event]:
     """Return all events of all drives."""
-    return [
-        Event(label, number, spans, ticks)
-        for number, drive in enumerate(drives)
-        for label, spans, ticks in intervals_of(drive)
-    ]
+    return [event for number, drive in enumerate(drives) for event in find_events(drive, number)]
 
 
-def intervals_of(drive: JudgedDrive) -> Iterator[tuple[str, Array, int]]:
-    """Yield label, intervals (n, 2) [s] and number of ticks of each event of a drive."""
+def find_events(drive: JudgedDrive, number: int) -> Iterator[Event]:
+    """Yield the events of a drive."""
     tick, time = drive.record.tick, drive.record.time
     active: list[tuple[str, Array, NDArray[np.bool_]]] = []
     for name, (label, words) in INDICES.items():
@@ -283,8 +279,9 @@ def intervals_of(drive: JudgedDrive) -> Iterator[tuple[str, Array, int]]:
             edges = np.diff(np.concatenate(([False], is_active, [False])).astype(int))
             begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
             ends = np.minimum(ends, len(stamps) - 1)  # a tick lasts until the next one
-            yield label, np.column_stack((stamps[begins], stamps[ends])), int(is_active.sum())
+            spans = np.column_stack((stamps[begins], stamps[ends]))
+            yield Event(label, number, spans, int(is_active.sum()))
     gaps = np.flatnonzero(np.diff(time) > 1.5 * drive.record.period)
     if len(gaps):
         spans = np.column_stack((time[gaps], time[gaps + 1]))
-        yield "missed ticks", spans, int(drive.metrics["missed_ticks"] or 0)
+        yield Event("missed ticks", number, spans, int(drive.metrics["missed_ticks"] or 0))

@@ -1,8 +1,10 @@
 """Options of a run, and a check of all names and files before any node starts."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,26 +99,52 @@ def controller_label(name: str) -> str:
     return name.rpartition(":")[2]
 
 
+FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "vehicle": ("vehicles", load_vehicle),
+    "settings": ("controllers", partial(load, ControllerSettings)),
+    "guard": ("guards", partial(load, GuardLimits)),
+    "noise": ("noise", partial(load, MeasurementNoise)),
+}
+"""Options that name a file: folder of the shipped ones, and how to read it."""
+
+
+def check_files(options: argparse.Namespace) -> None:
+    """Read the files that the options name.
+
+    Raises:
+        ValueError: Names the option, the file and the cause.
+    """
+    for option, (folder, read) in FILES.items():
+        if getattr(options, option, ""):
+            with naming(option):
+                read(find(folder, getattr(options, option)))
+
+
+@contextmanager
+def naming(option: str) -> Iterator[None]:
+    """Prefix the message of a ValueError with the invalid option."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"--{option}: {error}") from error
+
+
 def prepare_run(options: argparse.Namespace) -> Run:
     """Load everything that the options name, and create the folder of the run.
 
     Raises:
         ValueError: Names the invalid option or file in one sentence.
     """
-    size = load_vehicle(find("vehicles", options.vehicle)).size
+    check_files(options)
     options.controller = resolve_controller(options.controller)
-    load(ControllerSettings, find("controllers", options.settings))
     if options.gain_table:
         load_gain_table(options.gain_table)
-    load(GuardLimits, find("guards", options.guard))
-    if options.noise:
-        load(MeasurementNoise, find("noise", options.noise))
     if options.faults:
         from launch_scripts.faults.schedule import load_plan
 
         load_plan(options.faults)
     route = Route(*(getattr(options, key) for key in Route._fields))
-    scenario = choose_scenario(route, size)
+    scenario = choose_scenario(route, load_vehicle(find("vehicles", options.vehicle)).size)
     values = {key: value for key, value in vars(options).items() if key != "output"}
     label = controller_label(options.controller)
     name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{label}"
