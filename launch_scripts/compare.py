@@ -23,7 +23,7 @@ from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.validation import check_range, number
-from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, default_table
+from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, check_controller, default_table
 from launch_scripts.comparing.cells import (
     QUANTITIES,
     Conditions,
@@ -40,7 +40,6 @@ from launch_scripts.run.options import (
     controller_label,
     create_folder,
     naming,
-    resolve_controller,
 )
 from sim_vehicle.car import RANGES
 from sim_vehicle.parameters import load_vehicle
@@ -148,7 +147,7 @@ def contenders_of(texts: Sequence[str], conditions: Conditions) -> list[Contende
 def read_contender(text: str, vehicle: str) -> Contender:
     """Return one contender; its label is the entry without folders and suffixes of files."""
     name, equals, gains = text.partition("=")
-    label, controller = controller_label(name), resolve_controller(name)
+    label, controller = controller_label(name), check_controller(name)
     if not equals:
         table = default_table(name, vehicle) if name in DEFAULT_TABLES else ""
         return Contender(label, controller, table)

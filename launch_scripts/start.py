@@ -21,9 +21,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.run.environment import ros_environment
 from launch_scripts.run.options import Run, prepare_run, read_run_options
-from launch_scripts.run.processes import Processes
+from launch_scripts.run.processes import Processes, ros_environment
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""

@@ -19,8 +19,7 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.comparing.cells import QUANTITIES, Cell, Conditions, Contender, best_of
 from launch_scripts.comparing.figures import colors_of, draw_road
 from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
-from launch_scripts.reporting.markdown import markdown_table
-from launch_scripts.reporting.pages import data, render, terminal_table, to_json
+from launch_scripts.reporting.pages import data, markdown_table, render, terminal_table, to_json
 from launch_scripts.reporting.style import save_figures, save_png, svg
 from launch_scripts.run.machine import describe_machine
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
 
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import Array
-from launch_scripts.bags.bag_columns import BagColumns
 from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
 from launch_scripts.reporting.panels import PALETTE, Panel, Series, events_of
 
@@ -177,18 +177,29 @@ def draw_map(drives: Sequence[JudgedDrive], points: int) -> tuple[go.Figure, lis
 
     A path that several drives share is drawn once.
     """
-    figure, moving = go.Figure(), []
-    reference = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
+    figure, moving, name = go.Figure(), [], "reference path"
+    line = {"color": "#c4c4c4", "width": 7, "simplify": False}  # visible behind the car
     for number, path in enumerate(paths_of(drives)):
-        add_curve(figure, path, points, "reference path", reference, number == 0)
-    for k, drive in enumerate(drives):
-        line = {"color": PALETTE[k % len(PALETTE)], "width": 2, "simplify": False}
-        label = "driven path" if len(drives) == 1 else drive.name
-        add_curve(figure, drive.centres, points, label, line)
-    for k, drive in enumerate(drives):
-        first, color = len(figure.data), PALETTE[k % len(PALETTE)]
-        add_car(figure, color, k == 0)
-        moving.append({"color": color, "trace": first} | motion(drive, len(drives)))
+        legend = {"name": name, "legendgroup": name, "showlegend": number == 0}
+        x, y = thinned_curve(path, points)
+        figure.add_scatter(x=x, y=y, mode="lines", line=line, hoverinfo="skip", **legend)
+    for drive, color in zip(drives, cycle(PALETTE)):
+        line = {"color": color, "width": 2, "simplify": False}
+        name = "driven path" if len(drives) == 1 else drive.name
+        x, y = thinned_curve(drive.centres, points)
+        figure.add_scatter(x=x, y=y, mode="lines", name=name, line=line)
+    # Moving traces of each car: prediction, outline, and a marker of fixed size
+    add = partial(figure.add_scatter, x=[], y=[], hoverinfo="skip")
+    for k, (drive, color) in enumerate(zip(drives, cycle(PALETTE))):
+        moving.append({"color": color, "trace": len(figure.data)} | motion(drive, len(drives)))
+        line = {"color": "#000000", "width": 2.5, "dash": "dot"}
+        name = f"predicted path, at most {OLDEST:g} s old"
+        add(mode="lines", name=name, showlegend=k == 0, line=line)
+        line = {"color": color, "width": 2}
+        add(mode="lines", fill="toself", fillcolor=f"{color}55", showlegend=False, line=line)
+        marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
+        marker["line"] = {"color": "white", "width": 1.5}
+        add(mode="markers", name="car", showlegend=k == 0, marker=marker)
     figure.update_layout(
         template="report",
         margin={"l": 64, "r": 12, "t": 34, "b": 76 if len(drives) == 1 else 104},
@@ -204,66 +215,24 @@ def draw_map(drives: Sequence[JudgedDrive], points: int) -> tuple[go.Figure, lis
 
 
 def paths_of(drives: Sequence[JudgedDrive]) -> list[Array]:
-    """Return the different reference paths of all drives, each (n, 2) [m]."""
+    """Return the different reference paths of all drives, each (n, 2) [m].
+
+    Of each drive, these are the last path before the start, and about `MAX_PATHS` later ones: the
+    curve to which the errors refer, or the points where no curve can be fitted.
+    """
     paths: list[Array] = []
     for drive in drives:
-        for path in visible_paths(drive.columns):
-            if not any(np.array_equal(path, other) for other in paths):
-                paths.append(path)
+        later = [path.points for path in drive.columns.paths if path.time > 0.0]
+        before = [path.points for path in drive.columns.paths if path.time <= 0.0][-1:]
+        for points in before + later[:: max(1, len(later) // MAX_PATHS)]:
+            try:
+                path = make_path(points)
+                points = np.column_stack((path.x, path.y))
+            except ValueError:
+                pass
+            if not any(np.array_equal(points, other) for other in paths):
+                paths.append(points)
     return paths
-
-
-def visible_paths(columns: BagColumns) -> list[Array]:
-    """Return the last reference path before the start, and about `MAX_PATHS` later ones."""
-    later = [path.points for path in columns.paths if path.time > 0.0]
-    before = [path.points for path in columns.paths if path.time <= 0.0][-1:]
-    chosen = before + later[:: max(1, len(later) // MAX_PATHS)]
-    return [smooth(points) for points in chosen]
-
-
-def smooth(points: Array) -> Array:
-    """Return the curve to which the errors refer, or the points where no curve can be fitted."""
-    try:
-        path = make_path(points)
-    except ValueError:
-        return points
-    return np.column_stack((path.x, path.y))
-
-
-def add_curve(
-    figure: go.Figure,
-    curve: Array,
-    points: int,
-    name: str,
-    line: dict[str, Any],
-    legend: bool = True,
-) -> None:
-    """Add a curve (n, 2) [m] in the plane, thinned to about `points` points."""
-    x, y = thinned_curve(curve, points).T
-    hover = "skip" if name == "reference path" else None
-    figure.add_scatter(
-        x=to_plain(x),
-        y=to_plain(y),
-        mode="lines",
-        name=name,
-        legendgroup=name,
-        showlegend=legend,
-        line=line,
-        hoverinfo=hover,
-    )
-
-
-def add_car(figure: go.Figure, color: str, legend: bool) -> None:
-    """Add the moving traces of a car: prediction, outline, and a marker of fixed size."""
-    add = partial(figure.add_scatter, x=[], y=[], hoverinfo="skip")
-    prediction = {"color": "#000000", "width": 2.5, "dash": "dot"}
-    name = f"predicted path, at most {OLDEST:g} s old"
-    add(mode="lines", name=name, showlegend=legend, line=prediction)
-    outline = {"color": color, "width": 2}
-    add(mode="lines", fill="toself", fillcolor=f"{color}55", showlegend=False, line=outline)
-    marker = {"size": 14, "symbol": "arrow", "angleref": "up", "color": color}
-    marker["line"] = {"color": "white", "width": 1.5}
-    add(mode="markers", name="car", showlegend=legend, marker=marker)
 
 
 def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
@@ -322,11 +291,13 @@ def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
     finite = np.isfinite(series.values)
     time, values = series.time[finite], series.values[finite]
     keep: Indices = np.arange(len(time))
-    if series.step and len(time) > FEW:
-        keep = changes(values)
+    if series.step and len(time) > FEW:  # where the value changes, and both ends
+        keep = np.union1d(np.flatnonzero(np.diff(values, prepend=np.nan)), keep[-1])
     if len(keep) > points:
         keep = keep[peaks(time[keep], values[keep], points)]
-    gaps = long_gaps(time)
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    gaps = np.flatnonzero(steps > LONG_GAP * max(usual, 1e-9))
     keep = np.union1d(keep, np.concatenate((gaps, gaps + 1))).astype(int)
     x, y = rounded(time[keep], 6), rounded(values[keep], DIGITS)
     for place in np.flatnonzero(np.isin(keep, gaps))[::-1]:
@@ -346,20 +317,6 @@ def peaks(time: Array, values: Array, points: int) -> Indices:
     return np.asarray(np.union1d(shape, extremes), dtype=np.int64)
 
 
-def changes(values: Array) -> Indices:
-    """Return the indices at which a value changes, and both ends."""
-    moved = np.flatnonzero(np.diff(values)) + 1
-    return np.asarray(np.unique(np.concatenate(([0], moved, [len(values) - 1]))))
-
-
-def long_gaps(time: Array) -> Indices:
-    """Return the indices after which data are missing."""
-    steps = np.diff(time)
-    if not len(steps):
-        return np.empty(0, dtype=np.int64)
-    return np.asarray(np.flatnonzero(steps > LONG_GAP * max(float(np.median(steps)), 1e-9)))
-
-
 def rounded(values: Array, digits: int) -> list[Any]:
     """Return the values as Python numbers, rounded to so many digits of their range."""
     span = float(np.ptp(values)) if len(values) else 0.0
@@ -368,11 +325,10 @@ def rounded(values: Array, digits: int) -> list[Any]:
     return [int(v) if places <= 0 else v for v in np.round(values, max(places, 0)).tolist()]
 
 
-def thinned_curve(points: Array, most: int) -> Array:
-    """Return about `most` points of a curve (n, 2) in the plane, with the peaks of both axes."""
-    if len(points) <= most:
-        return points
-    place = np.arange(len(points), dtype=float)
-    chosen = [peaks(place, points[:, k], most // 2) for k in (0, 1)]
-    kept = np.unique(np.concatenate(([0], *chosen, [len(points) - 1])))
-    return np.asarray(points[kept])
+def thinned_curve(curve: Array, most: int) -> tuple[list[Any], list[Any]]:
+    """Return x and y of about `most` points of a curve (n, 2), with the peaks of both axes."""
+    if len(curve) > most:
+        place = np.arange(len(curve), dtype=float)
+        chosen = [peaks(place, curve[:, k], most // 2) for k in (0, 1)]
+        curve = curve[np.unique(np.concatenate(([0], *chosen, [len(curve) - 1])))]
+    return to_plain(curve[:, 0]), to_plain(curve[:, 1])

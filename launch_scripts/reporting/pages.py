@@ -1,4 +1,4 @@
-"""Output for readers: self-contained HTML pages, tables for the terminal, and JSON values.
+"""Output for readers: self-contained HTML pages, tables for terminal and Markdown, JSON values.
 
 `base.html` is the frame of every page, `macros.html` holds tables, figures and lists.
 """
@@ -87,6 +87,24 @@ def terminal_table(
             cell.highlight_regex(r"\bfail$|^(lost|gave up) at .*|^refused$", "bold red")
         table.add_row(*cells)
     return table
+
+
+def markdown_table(
+    heads: Sequence[str], rows: Iterable[Sequence[object]], align: str = "r"
+) -> list[str]:
+    """Return the lines of a table.
+
+    Args:
+        heads: Titles of the columns.
+        rows: Cells; each is converted by `str`.
+        align: `l` or `r` for the columns after the first, which is aligned to the left; the last
+            letter holds for all further columns.
+    """
+    letters = "l" + align + align[-1] * len(heads)
+    rule = ["---:" if letter == "r" else "---" for letter in letters[: len(heads)]]
+    lines = [[str(cell).replace("|", "\\|") for cell in row] for row in (heads, *rows)]
+    head, *body = [f"| {' | '.join(cells)} |" for cells in lines]
+    return [head, f"|{'|'.join(rule)}|", *body]
 
 
 def add_format_option(parser: argparse.ArgumentParser, content: str) -> None:

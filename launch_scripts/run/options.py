@@ -12,7 +12,7 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_ros.configuration import CONTROLLERS, Choices, check_controller
+from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
 from ampc_ros.mpc.gain_table import load_gain_table
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
@@ -82,18 +82,6 @@ def add_speed_options(parser: argparse.ArgumentParser) -> None:
     add("--laps", type=int, default=1, help="number of laps on the closed path of a CSV file")
 
 
-def resolve_controller(name: str) -> str:
-    """Return the name of a controller; in `file.py:Class`, the file becomes an absolute path.
-
-    Raises:
-        ValueError: There is no such controller.
-    """
-    file, _, cls = name.rpartition(":")
-    name = f"{Path(file).resolve()}:{cls}" if file.endswith(".py") else name
-    check_controller(name)
-    return name
-
-
 def controller_label(name: str) -> str:
     """Return the display name of a controller: the shipped name, or the name of the class."""
     return name.rpartition(":")[2]
@@ -136,7 +124,11 @@ def prepare_run(options: argparse.Namespace) -> Run:
         ValueError: Names the invalid option or file in one sentence.
     """
     check_files(options)
-    options.controller = resolve_controller(options.controller)
+    options.controller = check_controller(options.controller)
+    if is_custom(options.controller):
+        from ampc_ros.controller import make_controller  # loads all controllers
+
+        make_controller(Choices(options.controller, options.vehicle, options.settings))
     if options.gain_table:
         load_gain_table(options.gain_table)
     if options.faults:
