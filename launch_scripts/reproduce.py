@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
+from launch_scripts.reporting.pages import to_json
 from launch_scripts.reporting.style import save_png, svg
-from launch_scripts.run.json_values import to_json
 from launch_scripts.run.machine import cpu_model
 from launch_scripts.study.claims import conclusions
 from launch_scripts.study.drives import STUDY_SWITCHES, Switches

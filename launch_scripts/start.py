@@ -21,9 +21,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.run.environment import ros_environment
 from launch_scripts.run.options import Run, prepare_run, read_run_options
-from launch_scripts.run.processes import Processes
+from launch_scripts.run.processes import Processes, ros_environment
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
@@ -56,12 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run = prepare_run(options)
         return finish(run, drive_run(run, console), console)
-    except ValueError as error:
+    except (ValueError, RunEnded) as error:
         print_error(console, error)
-        return WRONG_SET_UP
-    except RunEnded as ended:
-        print_error(console, ended)
-        return ended.code
+        return error.code if isinstance(error, RunEnded) else WRONG_SET_UP
 
 
 def interrupt(number: int, _: Any) -> NoReturn:
@@ -135,11 +131,10 @@ def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
 
 def print_compilation(nodes: Processes, console: Console, printed: set[str]) -> None:
     """Print the log lines of the nodes about compilation that are not in `printed` yet."""
-    for name in nodes.running:
-        for line in nodes.lines(name):
-            if line.startswith(("compiling", "compiled")) and line not in printed:
-                printed.add(line)
-                console.print(line, markup=False)
+    for line in (line for name in nodes.running for line in nodes.lines(name)):
+        if line.startswith(("compiling", "compiled")) and line not in printed:
+            printed.add(line)
+            console.print(line, markup=False)
 
 
 def is_over(nodes: Processes) -> bool:
@@ -193,9 +188,8 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
         if not is_complete:
             recovered = default_output(run.bag)
             recover(run.bag, recovered)
-            console.print(
-                f"the bag was not closed; complete except for its end: {recovered}", markup=False
-            )
+            text = f"the bag was not closed; complete except for its end: {recovered}"
+            console.print(text, markup=False)
     except ValueError as error:
         if ended.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)

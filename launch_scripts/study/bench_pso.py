@@ -20,7 +20,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ampc_msgs_config.types import Array
-from launch_scripts.reporting.markdown import markdown_table
+from launch_scripts.reporting.pages import markdown_table
 from launch_scripts.reporting.style import label_ends
 from launch_scripts.study.pso_methods import (
     BUDGET,

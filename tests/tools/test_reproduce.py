@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from ampc_ros.mpc.gain_table import load_gain_table
-from launch_scripts.reporting.pages import num
+from launch_scripts.reporting.pages import num, to_json
 from launch_scripts.reporting.style import CONTROLLER_STYLES
 from launch_scripts.reproduce import main, read_switches
-from launch_scripts.run.json_values import to_json
 from launch_scripts.study.claims import (
     DIRECTION,
     NO,

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.parameters import FRICTION_SHARE
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.constraints import output_rows, output_steps, running_sum
 from ampc_ros.mpc.gain_table import Gains
@@ -26,9 +27,6 @@ from ampc_ros.preview.model import (
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon below which the sampled model is reused."""
-FRICTION_SHARE = 1.3
-"""Bound of the angle: that of a linear tyre at this multiple of the friction limit. The curve of a
-real tyre flattens and reaches its peak at about this multiple of the linear angle."""
 HEAD_START = 0.1
 """Cross-track error that is to vanish within the horizon; only more is returned gently [m]."""
 RETURN_RATE = 1.0

@@ -29,7 +29,7 @@ from ampc_msgs_config.validation import (
 )
 from ampc_ros.mpc.gain_table import GainTableFile
 from launch_scripts.faults.schedule import Plan
-from launch_scripts.reporting.summary import Thresholds
+from launch_scripts.reporting.drive import Thresholds
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
 ROOT = Path(__file__).resolve().parents[3]
