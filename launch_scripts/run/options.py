@@ -115,9 +115,9 @@ def prepare_run(options: argparse.Namespace) -> Run:
     if options.noise:
         load(MeasurementNoise, find("noise", options.noise))
     if options.faults:
-        from launch_scripts.faults.schedule import load_plan
+        from launch_scripts.faults.schedule import load_faults
 
-        load_plan(options.faults)
+        load_faults(options.faults)
     route = Route(*(getattr(options, key) for key in Route._fields))
     scenario = choose_scenario(route, size)
     values = {key: value for key, value in vars(options).items() if key != "output"}
