@@ -20,7 +20,7 @@ from launch_scripts.study.claims import (
     NO,
     PAPER_MSE,
     YES,
-    check_claims,
+    conclusions,
     ratio_verdict,
     tuned_claim,
     wind_claim,
@@ -225,13 +225,13 @@ def test_wind_counts_as_a_cause_only_if_calm_air_is_harmless(
         "classic": {"wind_m": its, "calm_m": calm},
     }
     judged = wind_claim({"wind_effect": {"sc3_wind": effect}}, "sc3_wind", "here", "")
-    assert judged.verdict == verdict
+    assert judged["verdict"] == verdict
 
 
 def test_claims_about_roads_that_were_not_driven_are_left_out(results: dict[str, Any]) -> None:
-    checked = check_claims(results)
-    assert [claim._asdict() for claim in checked] == results["claims"]
-    assert not [claim for claim in checked if "Sc3," in claim.claim]
+    checked = conclusions(results)["claims"]
+    assert checked == results["claims"]
+    assert not [claim for claim in checked if "Sc3," in claim["claim"]]
 
 
 def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) -> None:
@@ -240,8 +240,8 @@ def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) 
         for road, row in results["roads"].items()
     }
     judged = tuned_claim({**results, "roads": worse})
-    assert judged.verdict == NO
-    assert judged.here[:4] == ["MSE of Table 3 over MSE tuned", ", table: ", 0.5, " to "]
+    assert judged["verdict"] == NO
+    assert judged["here"][:4] == ["MSE of Table 3 over MSE tuned", ", table: ", 0.5, " to "]
 
 
 def test_the_missing_ticks_of_an_aborted_drive_count_with_the_abort_error() -> None:
