@@ -69,14 +69,14 @@ def restamped(message: Message, stamp_ns: int) -> list[Message]:
     return [message._replace(stamp_ns=stamp_ns)]
 
 
-def with_value(message: Message, value: Any) -> list[Message]:
+def replace_value(message: Message, value: Any) -> list[Message]:
     """Return a message with another value."""
     return [message._replace(value=value)]
 
 
-def with_state(message: Message, **changes: float) -> list[Message]:
+def replace_state(message: Message, **changes: float) -> list[Message]:
     """Return a message with changed fields of its state."""
-    return with_value(message, message.value._replace(**changes))
+    return replace_value(message, message.value._replace(**changes))
 
 
 def in_order(message: Message, fault: FaultState) -> list[Message]:
@@ -104,7 +104,7 @@ def restart(message: Message, fault: FaultState) -> list[Message]:
 def freeze(message: Message, fault: FaultState) -> list[Message]:
     """Freeze the pose under new stamps; the twist stays current."""
     x, y, yaw = fault.last(message).value[1:4]
-    return with_state(message, x=x, y=y, yaw=yaw)
+    return replace_state(message, x=x, y=y, yaw=yaw)
 
 
 def noise(message: Message, fault: FaultState) -> list[Message]:
@@ -112,14 +112,14 @@ def noise(message: Message, fault: FaultState) -> list[Message]:
     size, state = fault.amount, message.value
     x, y, yaw = fault.rng.standard_normal(3)
     yaw = wrap_angle(state.yaw + HEADING_NOISE * size * yaw)
-    return with_state(message, x=state.x + abs(size) * x, y=state.y + size * y, yaw=yaw)
+    return replace_state(message, x=state.x + abs(size) * x, y=state.y + size * y, yaw=yaw)
 
 
 def shift(message: Message, left: float) -> list[Message]:
     """Move a pose to the left of its heading [m]."""
     state: VehicleState = message.value
     x, y = state.x - left * math.sin(state.yaw), state.y + left * math.cos(state.yaw)
-    return with_state(message, x=x, y=y)
+    return replace_state(message, x=x, y=y)
 
 
 def shift_points(message: Message, left: Any) -> list[Message]:
@@ -127,7 +127,7 @@ def shift_points(message: Message, left: Any) -> list[Message]:
     along = np.gradient(message.value, axis=0)
     along /= np.hypot(*along.T)[:, None]
     normal = np.column_stack((-along[:, 1], along[:, 0]))
-    return with_value(message, np.asarray(message.value + normal * left[:, None]))
+    return replace_value(message, np.asarray(message.value + normal * left[:, None]))
 
 
 def indices(message: Message) -> Array:
@@ -139,16 +139,16 @@ def path_nan(message: Message, fault: FaultState) -> list[Message]:
     """Replace one coordinate of the path by NaN."""
     points = message.value.copy()
     points[len(points) // 2, 1] = math.nan
-    return with_value(message, points)
+    return replace_value(message, points)
 
 
-def jump(message: Message, fault: FaultState) -> list[Message]:
+def shift_stamp(message: Message, fault: FaultState) -> list[Message]:
     """Add `amount` to the stamp [s]."""
     return restamped(message, message.stamp_ns + round(fault.amount * NANOSECONDS))
 
 
-CLOCK = seconds(1.0, -1.0e4, 1.0e4)
-KINDS = {
+CLOCK_JUMP = seconds(1.0, -1.0e4, 1.0e4)
+FAULT_KINDS = {
     # messages are lost, late, doubled or repeated
     "drop": Kind(
         (ODOM,),
@@ -166,18 +166,18 @@ KINDS = {
     "repeat": Kind((ODOM,), lambda m, f: [arriving(f.last(m), m.arrival_ns)]),
     # states with wrong values
     "freeze": Kind((ODOM,), freeze),
-    "nan": Kind((ODOM,), lambda m, f: with_state(m, **{f.field: math.nan})),
+    "nan": Kind((ODOM,), lambda m, f: replace_state(m, **{f.field: math.nan})),
     "noise": Kind((ODOM,), noise, metres(0.1), sided=True),
     "bias_position": Kind((ODOM,), lambda m, f: shift(m, f.amount), metres(0.3), sided=True),
     "bias_heading": Kind(
         (ODOM,),
-        lambda m, f: with_state(m, yaw=wrap_angle(m.value.yaw + f.amount)),
+        lambda m, f: replace_state(m, yaw=wrap_angle(m.value.yaw + f.amount)),
         radians(0.05),
         sided=True,
     ),
     "bias_speed": Kind(
         (ODOM,),
-        lambda m, f: with_state(m, v_x=m.value.v_x + f.amount),
+        lambda m, f: replace_state(m, v_x=m.value.v_x + f.amount),
         Amount(2.0, -100.0, 100.0, "m/s"),
     ),
     "drift": Kind(  # linearly up to `amount`, then back at once
@@ -186,13 +186,13 @@ KINDS = {
     "pose_jump": Kind((ODOM,), lambda m, f: shift(m, f.amount), metres(2.0), sided=True),
     "wrong_frame": Kind((ODOM,), lambda m, f: [m._replace(frame_id="odom")]),
     "zero_quaternion": Kind((ODOM,), lambda m, f: [m._replace(length=0.0)]),
-    "stamp_jump": Kind((ODOM,), jump, CLOCK),
-    "clock_jump": Kind(ALL, jump, CLOCK),
+    "stamp_jump": Kind((ODOM,), shift_stamp, CLOCK_JUMP),
+    "clock_jump": Kind(ALL, shift_stamp, CLOCK_JUMP),
     # steering sensor and solver
     "bias_steering": Kind(
-        (STEERING,), lambda m, f: with_value(m, m.value + f.amount), radians(0.05), sided=True
+        (STEERING,), lambda m, f: replace_value(m, m.value + f.amount), radians(0.05), sided=True
     ),
-    "freeze_steering": Kind((STEERING,), lambda m, f: with_value(m, f.last(m).value)),
+    "freeze_steering": Kind((STEERING,), lambda m, f: replace_value(m, f.last(m).value)),
     "qp_fault": Kind((NODE,), None),
     # paths: moved, with a step in the middle, with every second point aside, unusable
     "path_gone": Kind((PATH,), lambda m, f: []),
@@ -212,7 +212,7 @@ KINDS = {
         (PATH,), lambda m, f: shift_points(m, f.amount * (indices(m) % 2)), metres(1.0), sided=True
     ),
     "path_nan": Kind((PATH,), path_nan),
-    "path_point": Kind((PATH,), lambda m, f: with_value(m, m.value[:1])),
-    "path_empty": Kind((PATH,), lambda m, f: with_value(m, m.value[:0])),
+    "path_point": Kind((PATH,), lambda m, f: replace_value(m, m.value[:1])),
+    "path_empty": Kind((PATH,), lambda m, f: replace_value(m, m.value[:0])),
 }
 """Kinds by the name in a file of faults. `clock_jump` also moves the controller's own clock."""

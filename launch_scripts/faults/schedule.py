@@ -12,7 +12,7 @@ import numpy as np
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_msgs_config.validation import Checked, check_range, choice, described, number
-from launch_scripts.faults.kinds import KINDS
+from launch_scripts.faults.kinds import FAULT_KINDS
 from launch_scripts.faults.messages import KEPT, FaultState, Message, Window
 
 SEED = number(0, 2**31 - 1, "", "Seed of the faults.")
@@ -22,7 +22,7 @@ SEED = number(0, 2**31 - 1, "", "Seed of the faults.")
 class Fault(Checked):
     """One fault; times count from the start of the drive."""
 
-    kind: Annotated[str, choice(tuple(KINDS), "Kind of the fault.")]
+    kind: Annotated[str, choice(tuple(FAULT_KINDS), "Kind of the fault.")]
     start: Annotated[float, number(0.0, 1.0e5, "s", "Time at which the fault begins.")]
     duration: Annotated[float, number(1.0e-3, 1.0e5, "s", "Duration of the fault.")]
     amount: (
@@ -41,7 +41,7 @@ class Fault(Checked):
     def __post_init__(self) -> None:
         """Check the fields by the bounds of the kind, and set its default amount."""
         super().__post_init__()
-        allowed = KINDS[self.kind].amount
+        allowed = FAULT_KINDS[self.kind].amount
         if allowed is None:
             if self.amount is not None:
                 raise ValueError(f"amount = {self.amount!r} is not allowed: {self.kind} has none")
@@ -59,7 +59,7 @@ class Fault(Checked):
     @property
     def mirrored(self) -> "Fault":
         """Fault with left and right exchanged."""
-        if self.amount is None or not KINDS[self.kind].sided:
+        if self.amount is None or not FAULT_KINDS[self.kind].sided:
             return self
         return replace(self, amount=-self.amount)
 
@@ -119,7 +119,7 @@ class Injector:
         """Apply the active faults to a message and queue the result."""
         messages: Sequence[Message] = [message]
         for fault in self.active(message.arrival_ns):
-            kind = KINDS[fault.kind]
+            kind = FAULT_KINDS[fault.kind]
             if kind.change and message.topic in kind.topics:
                 messages = [out for each in messages for out in kind.change(each, fault)]
         for each in messages:

@@ -24,7 +24,7 @@ from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import Injector, load_faults
 
-PERIOD = 0.005
+CHECK_PERIOD = 0.005
 """Period of the check for delayed messages [s]."""
 PATH_PERIOD = 0.5
 """Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
@@ -65,7 +65,7 @@ class InjectorNode(BaseNode):
             self.create_subscription(kind, topic, partial(self.on_message, topic), qos)
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.COMMAND)
         self.controller = AsyncParameterClient(self, "controller")
-        self.create_timer(PERIOD, self.on_timer)
+        self.create_timer(CHECK_PERIOD, self.on_timer)
         self.create_timer(PATH_PERIOD, self.on_path_timer)
         self.create_timer(1.0, self.on_diagnostics)
         self.get_logger().info(f"ready: {len(schedule.faults)} faults")

@@ -62,7 +62,7 @@ def draw_figures(
     sc1 = PAPER_MSE["sc1"]
     levels = {"paper's AMPC": sc1["paper"], "paper's classic": sc1["classic"]}
     return {
-        **{road: draw_scenario(row) for road, row in driven.items()},
+        **{road: draw_road(row) for road, row in driven.items()},
         "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"]),
         "sphere": draw_sphere({name: results["sphere"]["curves"][name] for name in SHOWN_SWARMS}),
         "tuning": draw_curves(searches, "generation", "best fitness [m\u00b2]"),
@@ -71,7 +71,7 @@ def draw_figures(
     }
 
 
-def draw_scenario(driven: Mapping[str, SimulatedDrive]) -> Figure:
+def draw_road(driven: Mapping[str, SimulatedDrive]) -> Figure:
     """Draw a scenario: path, error, steering, yaw rate, speed, and wind if there is any."""
     shown = {name: d for name, d in driven.items() if name in CONTROLLER_STYLES}
     first = next(iter(shown.values()))

@@ -166,7 +166,9 @@ def measure_study(
     # attempts where the paper does not reproduce
     results["geometry"] = []
     for length in MOVE_LENGTHS:
-        measured = metrics(("paper", "classic", "pure_pursuit"), lane_change(length), plan.switches)
+        measured = metrics(
+            ("paper", "classic", "pure_pursuit"), double_lane_change(length), plan.switches
+        )
         mse = {name: each["mse_m2"] for name, each in measured.items()}
         results["geometry"].append({"length_m": length, "mse_m2": mse})
     results["fragile"] = {
@@ -206,7 +208,7 @@ def mean_square_errors(
     return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}
 
 
-def lane_change(length: float) -> Scenario:
+def double_lane_change(length: float) -> Scenario:
     """Return Sc1 with another length of each half of the double lane change [m]."""
     X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
     back = (X - 30.0 - length - STRAIGHT_LENGTH) / length

@@ -173,8 +173,8 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     for name in ("table3", DEFAULT_TABLES[task.formulation]):
         tables[f"shipped {name}"] = load_gain_table(name)
     nodes = task.nodes()
-    at_nodes = evaluate(tables, [node for node in nodes if is_reachable(node)], workers)
-    between = evaluate(tables, task.held_out_nodes(), workers)
+    at_nodes = evaluate_tables(tables, [node for node in nodes if is_reachable(node)], workers)
+    between = evaluate_tables(tables, task.held_out_nodes(), workers)
     candidates = [Candidate(n, tables[n], at_nodes[n], between[n]) for n in tables]
     # the best table and the best single set over all seeds
     table, single = (
@@ -194,7 +194,7 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     return TuningReport(table, single, others, tuple(at for at in places if at not in own))
 
 
-def evaluate(
+def evaluate_tables(
     tables: dict[str, GainTable], nodes: Sequence[Node], workers: Workers
 ) -> dict[str, tuple[float, ...]]:
     """Return the fitness of each table at some nodes."""

@@ -21,7 +21,7 @@ from launch_scripts.tuning.task import Search
 from launch_scripts.tuning.workers import Workers
 
 TASK = "task.json"
-MAX_BYTES = 1_000_000_000
+MAX_CHECKPOINT_BYTES = 1_000_000_000
 """Largest size of a checkpoint."""
 SearchResult = tuple[Gains, float]
 """Best gains and their fitness; infinite if every car left the road."""
@@ -121,7 +121,7 @@ class Checkpoints:
         if not file.exists():
             return None
         try:
-            content = json.loads(read_text(file, MAX_BYTES))
+            content = json.loads(read_text(file, MAX_CHECKPOINT_BYTES))
         except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"{file}: cannot be read: {error}") from error
         if not isinstance(content, dict):

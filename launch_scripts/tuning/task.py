@@ -29,7 +29,7 @@ SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
 FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
 LOGARITHMIC = ("Q", "R")
 """Gains that are searched in the logarithm: they span decades, and only Q/R matters."""
-DIGITS = 6
+GAIN_DIGITS = 6
 """Significant digits of a gain."""
 REACH = 2.0
 """Largest reachable lateral reference, divided by the speed [s]."""
@@ -61,7 +61,7 @@ class SearchSpace(NamedTuple):
         for column, (symbol, _, _) in enumerate(self.bounds):
             values = positions[:, column]
             values = 10.0**values if symbol in LOGARITHMIC else values
-            rows[:, SYMBOLS.index(symbol)] = [float(f"{value:.{DIGITS}g}") for value in values]
+            rows[:, SYMBOLS.index(symbol)] = [float(f"{value:.{GAIN_DIGITS}g}") for value in values]
         rows[:, 1:3] = np.minimum(rows[:, 1:3], rows[:, :1])
         return rows
 
@@ -90,9 +90,8 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
         for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
             check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
         check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
-    space = SearchSpace(
-        tuple((symbol, *map(float, ends)) for symbol, ends in bounds.items()), fixed
-    )
+    ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
+    space = SearchSpace(ends, fixed)
     swarm_space([Dimension(*bound) for bound in space.bounds])
     swarm_space(space.dimensions)
     return space

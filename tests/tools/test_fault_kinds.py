@@ -8,7 +8,7 @@ import pytest
 
 from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from launch_scripts.faults.kinds import KINDS
+from launch_scripts.faults.kinds import FAULT_KINDS
 from launch_scripts.faults.messages import NODE, ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 
@@ -67,7 +67,7 @@ def test_a_fault_changes_numbers_only_during_its_interval(kind: str) -> None:
 
 
 def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
-    for name, kind in KINDS.items():
+    for name, kind in FAULT_KINDS.items():
         assert set(kind.topics) <= {ODOM, STEERING, PATH, NODE}, name
         assert (kind.change is None) == (kind.topics == (NODE,)), name
         if kind.amount:
@@ -77,7 +77,7 @@ def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
 
 @pytest.mark.parametrize("topic", [ODOM, STEERING, PATH])
 def test_a_seed_reproduces_the_messages_and_other_topics_are_unchanged(topic: str) -> None:
-    for name, kind in KINDS.items():
+    for name, kind in FAULT_KINDS.items():
         once, again = arrived(name, topic), arrived(name, topic)
         assert repr(once) == repr(again), name
         if topic not in kind.topics:

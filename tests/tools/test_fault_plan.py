@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ampc_msgs_config.config import shipped
-from launch_scripts.faults.kinds import KINDS
+from launch_scripts.faults.kinds import FAULT_KINDS
 from launch_scripts.faults.schedule import Fault, load_faults
 
 
@@ -64,9 +64,9 @@ def test_an_unknown_name_lists_the_shipped_ones() -> None:
         load_faults("nothing")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FAULT_KINDS)
 def test_a_mirrored_fault_mirrored_again_is_the_same(kind: str) -> None:
     given: dict[str, Any] = {"kind": kind, "start": 1.0, "duration": 1.0}
     fault = Fault(**given)
     assert fault.mirrored.mirrored == fault
-    assert (fault.mirrored == fault) != KINDS[kind].sided
+    assert (fault.mirrored == fault) != FAULT_KINDS[kind].sided
