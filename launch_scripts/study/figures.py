@@ -152,7 +152,7 @@ def draw_adaptation(driven: Mapping[str, SimulatedDrive]) -> Figure:
         "Q / R": lambda d: d.output_weight / d.increment_weight,
     }
     figure, axes = stack([1.5, 1.3, 1.3, 1.5])
-    drives = {name: driven[name] for name in ("paper", "paper_pso", "preview") if name in driven}
+    drives = {name: driven[name] for name in ("paper", "paper_pso", "preview")}
     values = {
         label: {name: [gain(d) for d in drive.diagnosis] for name, drive in drives.items()}
         for label, gain in gains.items()

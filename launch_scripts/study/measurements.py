@@ -20,13 +20,13 @@ from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.drives import (
+    CONTENDERS,
     DRIVE_SWITCHES,
     FIXED_SPEED,
     SEARCH_SWITCHES,
     STUDY_ROADS,
     Switches,
     TunedGains,
-    available_contenders,
     constant_table,
     controller_settings,
     drive_contender,
@@ -135,7 +135,7 @@ def measure_study(
     driven: dict[str, dict[str, SimulatedDrive]] = {}
     for road in plan.roads:
         scenario = study_scenario(road)
-        driven[road] = {name: drive(name, scenario) for name in available_contenders()}
+        driven[road] = {name: drive(name, scenario) for name in CONTENDERS}
         step()
     # the same without wind, on the roads with wind
     wind_effect = {}

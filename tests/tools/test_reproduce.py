@@ -26,13 +26,13 @@ from launch_scripts.study.claims import (
     wind_claim,
 )
 from launch_scripts.study.drives import (
+    CONTENDERS,
     DRIVE_SWITCHES,
     FIXED_SPEED,
     SEARCH_SWITCHES,
     STUDY_ROADS,
     STUDY_SWITCHES,
     TunedGains,
-    available_contenders,
     build_contender,
     drive_contender,
     drive_metrics,
@@ -122,7 +122,7 @@ def test_the_results_contain_all_that_is_needed_to_repeat_the_run(results: dict[
 
 def test_every_contender_has_a_number_on_every_road_driven(results: dict[str, Any]) -> None:
     for row in results["roads"].values():
-        assert set(row) == set(available_contenders())
+        assert set(row) == set(CONTENDERS)
         assert all(measured["mse_m2"] >= 0 for measured in row.values())
 
 
@@ -234,7 +234,7 @@ def test_claims_about_roads_that_were_not_driven_are_left_out(results: dict[str,
     assert not [claim for claim in checked if "Sc3," in claim["claim"]]
 
 
-def test_the_tuned_table_is_judged_where_it_is_shipped(results: dict[str, Any]) -> None:
+def test_the_tuned_table_decides_on_the_claim_about_tuning(results: dict[str, Any]) -> None:
     worse = {
         road: {**row, "paper_pso": {**row["paper"], "mse_m2": 2 * row["paper"]["mse_m2"]}}
         for road, row in results["roads"].items()
