@@ -119,80 +119,87 @@ def measure_study(
     """Return all results for JSON, and the drives for the figures by road and contender."""
     # searches: look-ahead, then the best single gain sets
     tuned, searches = search_gains(plan, step)
-
-    def drive(name: str, scenario: Scenario) -> SimulatedDrive:
-        return drive_contender(name, scenario, tuned, plan.switches)
-
-    def metrics(
-        names: Sequence[str], scenario: Scenario, switches: Switches, **steering: float
-    ) -> dict[str, dict[str, Any]]:
-        return {
-            name: drive_metrics(drive_contender(name, scenario, tuned, switches, **steering))
-            for name in names
-        }
-
-    # every contender on every road
+    # every contender on every road, with wind also in calm air
     driven: dict[str, dict[str, SimulatedDrive]] = {}
-    for road in plan.roads:
-        scenario = study_scenario(road)
-        driven[road] = {name: drive(name, scenario) for name in CONTENDERS}
-        step()
-    # the same without wind, on the roads with wind
     wind_effect = {}
-    for road, row in driven.items():
-        if study_scenario(road).wind:
-            calm = study_scenario(road, wind=())
+    for road in plan.roads:
+        scenario, calm = study_scenario(road), study_scenario(road, wind=())
+        driven[road] = {n: drive_contender(n, scenario, tuned, plan.switches) for n in CONTENDERS}
+        if scenario.wind:
             wind_effect[road] = {
-                name: {"wind_m": largest_error(d), "calm_m": largest_error(drive(name, calm))}
-                for name, d in row.items()
+                n: {
+                    "wind_m": largest_error(d),
+                    "calm_m": largest_error(drive_contender(n, calm, tuned, plan.switches)),
+                }
+                for n, d in driven[road].items()
             }
+        step()
     # one difference at a time taken from the authors' code, then all of them
     cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
     effects = {}
     for name, switches in {"none": NO_SWITCH, **cases, "all": frozenset(DRIVE_SWITCHES)}.items():
         effects[name] = {
-            road: metrics(("paper", "classic"), study_scenario(road), switches)
+            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
             for road in plan.roads
         }
         step()
-    results: dict[str, Any] = {
+    # the increment weight, with the other gains of Table 3
+    table3, sweep = load_gain_table("table3").nodes[0], []
+    for R in INCREMENT_WEIGHTS:
+        gains = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
+        mse = mean_square_errors("paper_one", plan.tuning_roads[:2], gains, plan.switches)
+        sweep.append({"R": R, "mse_m2": mse})
+    step()
+    attempts = measure_attempts(tuned, plan.switches)
+    step()
+    swarms = measure_swarms(plan.sphere_seeds, plan.problems)
+    step()
+    return {
         "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
         **searches,
         "wind_effect": wind_effect,
         "switches": effects,
-        "sweep": sweep_increment_weight(plan.tuning_roads[:2], plan.switches),
-    }
-    step()
-    # attempts where the paper does not reproduce
-    results["geometry"] = []
+        "sweep": sweep,
+        **attempts,
+        "sphere": swarms,
+    }, driven
+
+
+def measure_attempts(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
+    """Return what was tried where the paper does not reproduce: lane changes, margins, wind."""
+    geometry, wind_speeds = [], []
     for length in MOVE_LENGTHS:
-        measured = metrics(
-            ("paper", "classic", "pure_pursuit"), double_lane_change(length), plan.switches
-        )
-        mse = {name: each["mse_m2"] for name, each in measured.items()}
-        results["geometry"].append({"length_m": length, "mse_m2": mse})
-    results["fragile"] = {
-        condition: metrics(
-            ("paper", "pure_pursuit", "preview"),
-            study_scenario(road, **changes),
-            plan.switches,
-            **steering,
-        )
+        names = ("paper", "classic", "pure_pursuit")
+        metrics = metrics_of(names, double_lane_change(length), tuned, switches)
+        mse = {name: row["mse_m2"] for name, row in metrics.items()}
+        geometry.append({"length_m": length, "mse_m2": mse})
+    names = ("paper", "pure_pursuit", "preview")
+    fragile = {
+        condition: metrics_of(names, study_scenario(road, **changes), tuned, switches, **steering)
         for condition, (road, changes, steering) in FRAGILITY.items()
     }
-    results["wind_speeds"] = []
     for speed in WIND_SPEEDS:
         windy = study_scenario("sc3_fast_wind", speed=speed)
         air = {"calm": windy._replace(wind=()), "wind": windy}
         errors_m = {
-            f"{name}_{key}_m": largest_error(drive(name, scenario))
+            f"{name}_{key}_m": largest_error(drive_contender(name, scenario, tuned, switches))
             for name, (key, scenario) in product(("paper", "classic"), air.items())
         }
-        results["wind_speeds"].append({"speed_mps": speed, **errors_m})
-    step()
-    results["sphere"] = measure_swarms(plan.sphere_seeds, plan.problems)
-    step()
-    return results, driven
+        wind_speeds.append({"speed_mps": speed, **errors_m})
+    return {"geometry": geometry, "fragile": fragile, "wind_speeds": wind_speeds}
+
+
+def metrics_of(
+    names: Sequence[str],
+    scenario: Scenario,
+    tuned: TunedGains,
+    switches: Switches,
+    **steering: float,
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of some contenders in a scenario."""
+    return {
+        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
+    }
 
 
 def largest_error(driven: SimulatedDrive) -> float:
@@ -215,15 +222,6 @@ def double_lane_change(length: float) -> Scenario:
     Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
     duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
     return study_scenario("sc1", points=np.column_stack((X, Y)), duration=duration)
-
-
-def sweep_increment_weight(roads: Sequence[str], switches: Switches) -> list[dict[str, Any]]:
-    """Return the MSE of the AMPC over R; the other gains are those of Table 3 [m^2]."""
-    table3, rows = load_gain_table("table3").nodes[0], []
-    for R in INCREMENT_WEIGHTS:
-        tuned = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
-        rows.append({"R": R, "mse_m2": mean_square_errors("paper_one", roads, tuned, switches)})
-    return rows
 
 
 def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
@@ -290,7 +288,7 @@ def search_gain_set(
     gains = gains_from_position(best.position)
     name, tuned = "classic_pso" if fixed else "paper_one", TunedGains((0.0, 0.0), gains, gains)
     mse = {
-        road: drive_metrics(drive_contender(name, study_scenario(road), tuned, plan.switches))
+        road: metrics_of([name], study_scenario(road), tuned, plan.switches)[name]["mse_m2"]
         for road in plan.tuning_roads
     }
     return {
@@ -302,7 +300,7 @@ def search_gain_set(
         "fitness_m2": best.fitness,
         "history_m2": best.history.tolist(),
         "evaluations": int(best.evaluations[-1]),
-        "mse_m2": {road: metrics["mse_m2"] for road, metrics in mse.items()},
+        "mse_m2": mse,
         "swarm": asdict(settings),
         "bounds": {d.name: [d.low, d.high] for d in dimensions},
     }
