@@ -38,7 +38,7 @@ from launch_scripts.study.pso_methods import (
     search_curves,
 )
 
-CONSOLE_WIDTH = 126
+CONSOLE_WIDTH = 240
 """Minimum width of the printed tables [characters]."""
 COLUMNS = 4
 NAMES = [problem.name for problem in PROBLEMS]
