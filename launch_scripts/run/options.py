@@ -132,9 +132,9 @@ def prepare_run(options: argparse.Namespace) -> Run:
     if options.gain_table:
         load_gain_table(options.gain_table)
     if options.faults:
-        from launch_scripts.faults.schedule import load_plan
+        from launch_scripts.faults.schedule import load_faults
 
-        load_plan(options.faults)
+        load_faults(options.faults)
     route = Route(*(getattr(options, key) for key in Route._fields))
     scenario = choose_scenario(route, load_vehicle(find("vehicles", options.vehicle)).size)
     values = {key: value for key, value in vars(options).items() if key != "output"}

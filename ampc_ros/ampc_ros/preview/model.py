@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from ampc_msgs_config import parameters
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.parameters import MIN_SPEED
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import (
-    MIN_SPEED,
     STATES,
     V_Y,
     YAW_RATE,

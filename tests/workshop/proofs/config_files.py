@@ -28,7 +28,7 @@ from ampc_msgs_config.validation import (
     unwrap,
 )
 from ampc_ros.mpc.gain_table import GainTableFile
-from launch_scripts.faults.schedule import Plan
+from launch_scripts.faults.schedule import FaultSchedule
 from launch_scripts.reporting.drive import Thresholds
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
@@ -64,7 +64,7 @@ KINDS = (
     _kind("guard", GuardLimits, "guards"),
     _kind("scenario", ScenarioFile, "scenarios"),
     _kind("noise", MeasurementNoise, "noise"),
-    _kind("faults", Plan, "faults"),
+    _kind("faults", FaultSchedule, "faults"),
     Kind("thresholds", Thresholds, THRESHOLDS, THRESHOLDS / "thresholds.schema.json"),
 )
 HEAD = """# Parameters of the configuration files
