@@ -47,7 +47,7 @@ class BagFile(NamedTuple):
     path: Path
     stream: IO[bytes]
     """Complete MCAP file: the file itself, or a temporary copy, decompressed and salvaged."""
-    index: Summary
+    summary: Summary
     """Summary with all chunks, channels and schemas."""
     is_complete: bool
     """Whether the writer closed the file, and nothing in it was left out."""
@@ -84,7 +84,7 @@ class Bag(NamedTuple):
         for fault in filter(None, map(self.wrong_type, topics)):
             raise ValueError(f"{self.path}: {fault}")
         for file in self.files:
-            for each in file.index.channels.values():
+            for each in file.summary.channels.values():
                 if each.topic in topics and (encoding := each.message_encoding) != "cdr":
                     fault = f"{each.topic} is serialised as {encoding!r}, not CDR"
                     raise ValueError(f"{file.path}: {fault}")
@@ -131,9 +131,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
         if not opened:
             raise ValueError(f"{path}: no bag: all files are empty")
         topics = {
-            channel.topic: file.index.schemas[channel.schema_id].name if channel.schema_id else ""
+            channel.topic: file.summary.schemas[channel.schema_id].name if channel.schema_id else ""
             for file in opened
-            for channel in file.index.channels.values()
+            for channel in file.summary.channels.values()
         }
         is_complete = len(opened) == len(files) and all(file.is_complete for file in opened)
         yield Bag(path, opened, topics, is_complete)

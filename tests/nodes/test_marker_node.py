@@ -18,7 +18,7 @@ from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.marker_node import PERIOD, MarkerNode, main
+from ampc_msgs_config.nodes.marker_node import PICTURE_PERIOD, MarkerNode, main
 from ampc_msgs_config.nodes.scene import MAX_POINTS, VERMILION
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from tests.ros_nodes import add, ros_context, spin_until
@@ -105,7 +105,7 @@ def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None
     node = drawer(viewer)
     for _ in range(10):
         viewer.drive()
-        viewer.all.spin_once(timeout_sec=PERIOD)
+        viewer.all.spin_once(timeout_sec=PICTURE_PERIOD)
     assert not node.inputs
     viewer.look()
     viewer.picture()
@@ -207,7 +207,7 @@ def test_pictures_come_at_most_20_times_a_second(viewer: Viewer) -> None:
     while len(viewer.pictures) < first + 10:
         viewer.drive()
         viewer.all.spin_once(timeout_sec=0.001)
-    assert time.monotonic() - start > 8 * PERIOD
+    assert time.monotonic() - start > 8 * PICTURE_PERIOD
 
 
 def test_a_wrong_vehicle_is_one_line(

@@ -103,11 +103,11 @@ WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
         "scenario.points.x: could not convert string",
     ),
     "list": (("scenario", "points", "x"), [0], "scenario.points.x = [0] must be text"),
-    "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 1 to 1000000"),
+    "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 2 to 1000000"),
     "shorter": (
         ("scenario", "points", "x"),
         "0 1",
-        "points.x has 2 numbers, its other row ",
+        "numbers, the row before it 2",
     ),
     "point": (("scenario", "points"), {"x": "1 1", "y": "0 0"}, "at least 2 are needed"),
     "no points": (
@@ -124,7 +124,7 @@ WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
     "times": (
         ("scenario", "speed", "at"),
         "0 1",
-        "speed.at has 2 numbers, its other row 1",
+        "speed.speed has 1 numbers, the row before it 2",
     ),
     "kind": (("scenario", "speed", "over_distance"), 1, "over_distance = 1 must be true or false"),
     "period": (

@@ -25,16 +25,16 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
-from ampc_msgs_config.nodes.scene import NO_POINTS, Car, Shape, View, car_of, shapes, thinned
+from ampc_msgs_config.nodes.scene import NO_POINTS, Shape, View, car_of, shapes, thinned
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
-PERIOD = 0.05
+PICTURE_PERIOD = 0.05
 """Wall time between two pictures [s]."""
 LIFETIME = 2
 """Time after which a viewer removes a marker that is not redrawn [s]. It is simulated time if the
 viewer uses that: a drive in lock-step runs up to 20 times as fast as the wall clock."""
-KINDS = {
+MARKER_TYPES = {
     "cube": Marker.CUBE,
     "line": Marker.LINE_STRIP,
     "arrow": Marker.ARROW,
@@ -48,7 +48,12 @@ class MarkerNode(BaseNode):
     def __init__(self) -> None:
         """Load the car, without subscriptions yet."""
         super().__init__("markers")
-        self.car = self._car()
+        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
+        to_cg = declare(
+            self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
+        )
+        chassis = load(ChassisParameters, file, "chassis")
+        self.car = car_of(chassis, load(SizeParameters, file, "size"), to_cg)
         self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
             ros.ODOM: (Odometry, ros.NEWEST, ros.vehicle_state),
             ros.STEERING_COMMAND: (JointState, ros.NEWEST, ros.steering_angle),
@@ -63,39 +68,25 @@ class MarkerNode(BaseNode):
         self.values: dict[str, Any] = {}
         self.pictures = 0
         self.publisher = self.create_publisher(MarkerArray, ros.MARKERS, ros.COMMAND)
-        self.create_timer(PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(
+            PICTURE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self.create_timer(1.0, self.on_diagnostics)
         self.get_logger().info("ready")
-
-    def _car(self) -> Car:
-        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
-        to_cg = declare(
-            self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
-        )
-        chassis = load(ChassisParameters, file, "chassis")
-        return car_of(chassis, load(SizeParameters, file, "size"), to_cg)
 
     def on_timer(self) -> None:
         """Draw if there is a new state and a viewer is subscribed."""
         if not self.publisher.get_subscription_count():
-            self.unsubscribe()
+            while self.inputs:
+                self.destroy_subscription(self.inputs.pop())
+            self.new.clear()
+            self.values.clear()
         elif not self.inputs:
-            self.subscribe()
+            for topic, (message_type, qos, _) in self.sources.items():
+                keep = partial(self.new.__setitem__, topic)
+                self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
         elif self.unpack_new():
             self.draw()
-
-    def subscribe(self) -> None:
-        """Subscribe to the drive."""
-        for topic, (message_type, qos, _) in self.sources.items():
-            keep = partial(self.new.__setitem__, topic)
-            self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
-
-    def unsubscribe(self) -> None:
-        """Remove all subscriptions and values."""
-        while self.inputs:
-            self.destroy_subscription(self.inputs.pop())
-        self.new.clear()
-        self.values.clear()
 
     def unpack_new(self) -> bool:
         """Unpack new messages; return whether there is a new state. Invalid input is left out."""
@@ -159,7 +150,7 @@ def wind_of(message: Vector3Stamped) -> tuple[float, float]:
 
 def marker(shape: Shape, stamp_ns: int) -> Marker:
     """Pack a shape."""
-    message = Marker(ns=shape.name, id=shape.number, type=KINDS[shape.kind], text=shape.text)
+    message = Marker(ns=shape.name, id=shape.number, type=MARKER_TYPES[shape.kind], text=shape.text)
     message.header.frame_id, message.header.stamp = ros.MAP, ros.time_message(stamp_ns)
     message.lifetime.sec = LIFETIME
     message.scale = Vector3(**dict(zip("xyz", map(float, shape.size), strict=True)))

@@ -19,7 +19,7 @@ from ampc_msgs_config.config import dump, schema
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.scenarios.scenario import ScenarioFile
 from ampc_msgs_config.validation import (
-    bounds_text,
+    bounds,
     defaults,
     dotted,
     hints,
@@ -116,12 +116,13 @@ def _rows(kind: Any, key: str, default: Any) -> list[Row]:
     extra = (meta.extra if meta else None) or {}
     shape, leaf, leaf_meta = _leaf(inner, meta)
     extra = {**((leaf_meta.extra if leaf_meta else None) or {}), **extra}
-    bounds = ", ".join(extra.get("options", ()))
+    limits = ", ".join(extra.get("options", ()))
     if leaf_meta and leaf in (int, float):
-        bounds = bounds_text(leaf_meta).partition("]")[0] + "]"
+        low, high = bounds(leaf_meta)
+        limits = f"[{low:g}, {high:g}]"
     text = "required" if default is MISSING else _value(default)
     what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
-    return [Row(key, what, extra.get("unit", ""), bounds, text, extra.get("meaning", ""))]
+    return [Row(key, what, extra.get("unit", ""), limits, text, extra.get("meaning", ""))]
 
 
 def _value(default: Any) -> str:
