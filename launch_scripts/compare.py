@@ -36,7 +36,7 @@ from launch_scripts.comparing.cells import (
 from launch_scripts.comparing.results import Comparison, terminal_table, write_comparison
 from launch_scripts.report import add_format_option
 from launch_scripts.run.options import controller_label, create_folder, resolve_controller
-from sim_vehicle.car import RANGES
+from sim_vehicle.car import CAR_RANGES
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
@@ -110,7 +110,7 @@ def conditions_of(options: argparse.Namespace) -> Conditions:
         with naming("noise"):
             load(MeasurementNoise, find("noise", options.noise))
     if options.friction is not None:
-        check_range("--friction", options.friction, RANGES["friction"])
+        check_range("--friction", options.friction, CAR_RANGES["friction"])
     with naming("delay"):
         SteeringParameters(max_angle=1.0, delay=options.delay)
     check_range("--seed", options.seed, SEEDS)

@@ -40,7 +40,7 @@ from launch_scripts.replaying.repetition import (
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 
-WRONG_SET_UP = 2
+WRONG_INPUT = 2
 
 
 def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0 if changes else code
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
-        return WRONG_SET_UP
+        return WRONG_INPUT
 
 
 def compare_ticks(

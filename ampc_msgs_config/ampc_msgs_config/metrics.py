@@ -323,7 +323,7 @@ def solve_time_metrics(key: str, key_us: str, title: str, share: float) -> tuple
 RMS = "RMS cross-track error", "m", of("error", rms)
 P95 = "95th percentile of the cross-track error", "m", of("error", percentile(95.0))
 MAX = "Largest cross-track error", "m", of("error", largest)
-TABLE: tuple[Metric, ...] = (
+ALL_METRICS: tuple[Metric, ...] = (
     # Drive
     Metric("ticks", "Ticks", "", of("time", len), direction=NEUTRAL),
     Metric("missed_ticks", "Missed ticks", "", lambda r: missed_ticks(r.time, r.period)),
@@ -377,7 +377,7 @@ TABLE: tuple[Metric, ...] = (
     *solve_time_metrics("p99", "p99", "99th percentile", 99.0),
     *solve_time_metrics("max", "max", "largest", 100.0),
 )
-METRICS = {metric.key: metric for metric in TABLE}
+METRICS = {metric.key: metric for metric in ALL_METRICS}
 BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
 NOTES = {
     "missed_ticks": "gaps between the stamps of commands",

@@ -237,7 +237,7 @@ def _row(kind: Any, meta: msgspec.Meta | None, values: Any, key: str) -> tuple[A
 def check_range(name: str, value: Any, declared: msgspec.Meta) -> None:
     """Raise a ValueError with name, value and bound unless a number lies in its declared range."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        low, high = bounds(declared)
+        low, high = number_bounds(declared)
         if low <= value <= high and declared.multiple_of is None:
             return  # called in each period of a simulated drive
     convert(Annotated[float, declared], value, name)
@@ -262,7 +262,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
-def bounds(declared: msgspec.Meta) -> tuple[float, float]:
+def number_bounds(declared: msgspec.Meta) -> tuple[float, float]:
     """Return the bounds of a declared number."""
     low = -math.inf if declared.ge is None else float(declared.ge)
     return low, math.inf if declared.le is None else float(declared.le)
@@ -277,7 +277,7 @@ def expected(kind: Any, meta: msgspec.Meta | None, value: Any) -> str:
         return f"be {names.get(kind, 'a mapping of keys')}"
     within = ""
     if meta:
-        low, high = bounds(meta)
+        low, high = number_bounds(meta)
         within = f" in [{low:g}, {high:g}] {(meta.extra or {}).get('unit', '')}".rstrip()
     is_whole = kind is int or (meta is not None and meta.multiple_of is not None)
     if isinstance(value, bool) or not isinstance(value, (int, float)):

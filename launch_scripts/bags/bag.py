@@ -14,7 +14,7 @@ from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.recording.message_types import TYPES, message_class
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class
 from launch_scripts.bags.salvage import (
     MAGIC,
     ZSTD_MAGIC,
@@ -101,11 +101,11 @@ class Bag(NamedTuple):
 
     def wrong_type(self, topic: str) -> str:
         """Return one line if the type of a topic violates the contract, otherwise ''."""
-        required = (TYPES[name] for name in TYPES if topic.endswith("/" + name.lstrip("/")))
         type_name = self.topics.get(topic)
-        expected = next(required, type_name)
-        is_right = type_name in (None, expected)
-        return "" if is_right else f"{topic} holds {type_name}, not {expected}"
+        for name, required in TOPIC_TYPES.items():
+            if topic.endswith("/" + name.lstrip("/")) and type_name not in (None, required):
+                return f"{topic} holds {type_name}, not {required}"
+        return ""
 
 
 @contextmanager

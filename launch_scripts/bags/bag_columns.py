@@ -119,7 +119,7 @@ def namespace_of(bag: Bag) -> str:
     )
 
 
-class Rows(NamedTuple):
+class ColumnRows(NamedTuple):
     """Rows of one topic."""
 
     stamps: Stamps
@@ -148,7 +148,7 @@ class Column:
         """Count messages that cannot be used."""
         self.rejected, self.reason = self.rejected + count, self.reason or reason
 
-    def rows(self, topic: str, notes: list[str]) -> Rows:
+    def rows(self, topic: str, notes: list[str]) -> ColumnRows:
         """Return the rows without stamps that were never set; note rejected messages.
 
         Args:
@@ -166,7 +166,7 @@ class Column:
             notes.append(f"{topic}: {self.rejected} of {total} messages rejected: {self.reason}.")
         if back := int((np.diff(stamps[is_set]) < 0).sum()):
             notes.append(f"{topic}: time goes back {back} times; sorted by the stamps.")
-        return Rows(stamps[is_set], np.array(self.log_times)[is_set], values[is_set])
+        return ColumnRows(stamps[is_set], np.array(self.log_times)[is_set], values[is_set])
 
 
 class Collector:

@@ -31,7 +31,7 @@ HEAD = struct.Struct("<BQ")
 """Start of a record: its opcode and the length of its content [bytes]."""
 MESSAGE = struct.Struct("<HIQQ")
 """Start of a message: channel, sequence number, log time and publish time [ns]."""
-MAX_LENGTH = 2**32
+MAX_RECORD_LENGTH = 2**32
 """Longest content of a record [bytes]; a longer one is taken for damage."""
 DAMAGE = (
     *(McapError, struct.error, zstandard.ZstdError),
@@ -118,7 +118,7 @@ def records(stream: IO[bytes]) -> Iterator[Record]:
     """Return the records from the current position on; the last one may be cut or no record."""
     while head := stream.read(HEAD.size):
         opcode, length = HEAD.unpack(head.ljust(HEAD.size, b"\0"))
-        is_record = len(head) == HEAD.size and opcode and length <= MAX_LENGTH
+        is_record = len(head) == HEAD.size and opcode and length <= MAX_RECORD_LENGTH
         content = stream.read(length if is_record else -1)
         is_whole = bool(is_record) and len(content) == length
         yield Record(opcode, content, len(head) + len(content), is_whole)

@@ -28,7 +28,7 @@ PERIOD = 0.005
 """Period of the check for delayed messages [s]."""
 PATH_PERIOD = 0.5
 """Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
-TYPES = {ODOM: Odometry, STEERING: JointState, PATH: PathMessage}
+INPUT_TYPES = {ODOM: Odometry, STEERING: JointState, PATH: PathMessage}
 
 
 class InjectorNode(BaseNode):
@@ -52,8 +52,8 @@ class InjectorNode(BaseNode):
         self.start_ns = -1
         self.qp_fails = False
         self.path: PathMessage | None = None
-        self.outputs = {topic: self.output(topic) for topic in TYPES}
-        for topic, kind in TYPES.items():
+        self.outputs = {topic: self.output(topic) for topic in INPUT_TYPES}
+        for topic, kind in INPUT_TYPES.items():
             qos = ros.LATCHED if topic == PATH else ros.RELIABLE
             self.create_subscription(kind, topic, partial(self.on_message, topic), qos)
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.COMMAND)
@@ -66,7 +66,7 @@ class InjectorNode(BaseNode):
     def output(self, topic: str) -> Any:
         """Create the publisher of a faulty topic."""
         qos = ros.LATCHED if topic == PATH else ros.RELIABLE
-        return self.create_publisher(TYPES[topic], ros.FAULTY + topic, qos)
+        return self.create_publisher(INPUT_TYPES[topic], ros.FAULTY + topic, qos)
 
     @property
     def since_ns(self) -> int:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.metrics import (
+    ALL_METRICS,
     METRICS,
-    TABLE,
     Drive,
     DriveRecord,
     distance_driven,
@@ -143,8 +143,8 @@ def test_distance_is_the_integral_of_the_speed_forward_or_backward() -> None:
 
 
 def test_every_metric_has_its_own_key_and_a_title() -> None:
-    assert len(METRICS) == len(TABLE)
-    assert all(metric.title for metric in TABLE)
+    assert len(METRICS) == len(ALL_METRICS)
+    assert all(metric.title for metric in ALL_METRICS)
 
 
 @pytest.mark.parametrize("duration", [0.2, 0.02])

@@ -25,7 +25,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
-from ampc_msgs_config.nodes.scene import NO_POINTS, Shape, View, car_of, shapes, thinned
+from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
@@ -109,8 +109,8 @@ class MarkerNode(BaseNode):
             state,
             values.get(ros.STEERING_STATE, values.get(ros.STEERING_COMMAND, straight)).value,
             values.get(ros.WIND, (0.0, 0.0)),
-            values.get(ros.REFERENCE_PATH, NO_POINTS),
-            values.get(ros.PREDICTED_PATH, NO_POINTS),
+            values.get(ros.REFERENCE_PATH, EMPTY_PATH),
+            values.get(ros.PREDICTED_PATH, EMPTY_PATH),
             values.get(ros.STOP_REQUEST, False),
         )
         markers = [marker(shape, state.stamp_ns) for shape in shapes(view, self.car)]
@@ -133,7 +133,7 @@ def points_of(message: PathMessage) -> Array:
     if message.header.frame_id != ros.MAP:
         raise ValueError(f"frame_id = {message.header.frame_id!r} must be {ros.MAP!r}")
     positions = [pose.pose.position for pose in message.poses]
-    return thinned(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
+    return thin_points(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
 
 
 def wind_of(message: Vector3Stamped) -> tuple[float, float]:

@@ -28,7 +28,7 @@ from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
-from ampc_msgs_config.recording.message_types import TYPES, message_class, type_name_of
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -50,7 +50,7 @@ LATCHED_EVERYTHING = QoSProfile(
 BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in TYPES.items() if name != topics.MARKERS
+    name: message_class(type_) for name, type_ in TOPIC_TYPES.items() if name != topics.MARKERS
 }
 """Without markers: they repeat other topics, and would be three quarters of a bag."""
 LATCHED_TOPICS = {

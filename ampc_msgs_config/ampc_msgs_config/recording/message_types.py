@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ampc_msgs_config import topics
 
-TYPES = {
+TOPIC_TYPES = {
     topics.CLOCK: "rosgraph_msgs/msg/Clock",
     topics.ODOM: "nav_msgs/msg/Odometry",
     topics.REFERENCE_PATH: "nav_msgs/msg/Path",

@@ -124,7 +124,7 @@ def speed_at(profile: SpeedProfile, place: float) -> float:
 
 
 @compiled
-def target_speed(
+def preview_speed(
     profile: SpeedProfile, path: Path, index: int, elapsed: float, x: float, y: float, yaw: float
 ) -> tuple[float, int]:
     """Return the speed that the driver has to reach one preview time later.
@@ -162,7 +162,7 @@ class SpeedPlanner:
         if self.start_ns is None:
             self.start_ns = state.stamp_ns
         elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
-        speed, self.index = target_speed(
+        speed, self.index = preview_speed(
             self.profile, self.path, self.index, elapsed, state.x, state.y, state.yaw
         )
         return speed

@@ -19,11 +19,11 @@ from ampc_msgs_config.config import dump, schema
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.scenarios.scenario import ScenarioFile
 from ampc_msgs_config.validation import (
-    bounds,
     defaults,
     dotted,
     hints,
     is_record,
+    number_bounds,
     tag_of,
     unwrap,
 )
@@ -82,7 +82,7 @@ class Row(NamedTuple):
     key: str
     type: str
     unit: str
-    bounds: str
+    number_bounds: str
     default: str
     meaning: str
 
@@ -118,7 +118,7 @@ def _rows(kind: Any, key: str, default: Any) -> list[Row]:
     extra = {**((leaf_meta.extra if leaf_meta else None) or {}), **extra}
     limits = ", ".join(extra.get("options", ()))
     if leaf_meta and leaf in (int, float):
-        low, high = bounds(leaf_meta)
+        low, high = number_bounds(leaf_meta)
         limits = f"[{low:g}, {high:g}]"
     text = "required" if default is MISSING else _value(default)
     what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
@@ -161,7 +161,7 @@ def _table(kind: Kind) -> Iterable[str]:
     for row in parameter_rows(kind.content):
         key = f"`{row.key}`"
         default = f"`{row.default}`" if row.default not in ("", "required") else row.default
-        cells = (key, row.type, row.unit, row.bounds, default, row.meaning)
+        cells = (key, row.type, row.unit, row.number_bounds, default, row.meaning)
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""
 
