@@ -30,15 +30,25 @@ LOG = WORKSPACE / "log" / "bootstrap.log"
 COLCON_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
 SOURCES = (WORKSPACE, *(WORKSPACE / package for package in COLCON_PACKAGES[:-1]))
 
-NO_NETWORK = re.compile(
+PIP_FAILURES = {
     r"Failed to establish a new connection|Temporary failure in name resolution|ProxyError"
-    r"|Name or service not known|Network is unreachable|Connection refused|timed out|SSLError"
-)
-NO_COMPILER = re.compile(
+    r"|Name or service not known|Network is unreachable|Connection refused|timed out|SSLError": (
+        "the package index cannot be reached: check network and proxy, then run this again"
+    ),
     r"command '\S+' failed: No such file|unable to execute '\S+'|Unknown compiler"
-    r"|No such file or directory: '(?:gcc|cc|g\+\+|c\+\+)'"
-)
-NO_WHEEL = re.compile(r"No matching distribution found for ([\w.\[\]-]+)")
+    r"|No such file or directory: '(?:gcc|cc|g\+\+|c\+\+)'": (
+        "a package must be compiled but there is no compiler: apt install build-essential"
+    ),
+    r"DO NOT MATCH THE HASHES": (
+        "the hash of a package differs from the lock file (lock/): do not use that index"
+    ),
+    r"No space left on device": "the disk is full: .venv needs about 1 GB",
+    r"No matching distribution found for ([\w.\[\]-]+)": (
+        "there is no wheel of {wheel} for Python {version} on {machine}: "
+        "use Python 3.10 to 3.14 on x86-64 (make PYTHON=python3.12)"
+    ),
+}
+"""Cause and remedy by regular expression for the output of pip; the first match counts."""
 
 
 class SetupError(Exception):
@@ -170,19 +180,9 @@ def install(requirements: Sequence[Path]) -> None:
 
 def explain_pip(output: str, version: str, machine: str) -> str:
     """Return cause and remedy of a failure of pip with a Python version, in one sentence."""
-    if NO_NETWORK.search(output):
-        return "the package index cannot be reached: check network and proxy, then run this again"
-    if NO_COMPILER.search(output):
-        return "a package must be compiled but there is no compiler: apt install build-essential"
-    if "DO NOT MATCH THE HASHES" in output:
-        return "the hash of a package differs from the lock file (lock/): do not use that index"
-    if "No space left on device" in output:
-        return "the disk is full: .venv needs about 1 GB"
-    if wheel := NO_WHEEL.search(output):
-        return (
-            f"there is no wheel of {wheel[1]} for Python {version} on {machine}: "
-            "use Python 3.10 to 3.14 on x86-64 (make PYTHON=python3.12)"
-        )
+    for pattern, cause in PIP_FAILURES.items():
+        if match := re.search(pattern, output):
+            return cause.format(wheel=(*match.groups(), "")[0], version=version, machine=machine)
     return f"pip failed: {last_line(output)} ({LOG.relative_to(WORKSPACE)})"
 
 

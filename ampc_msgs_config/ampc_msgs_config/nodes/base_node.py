@@ -20,8 +20,9 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -60,7 +61,7 @@ class BaseNode(Node):
         self.trouble = ""
         self.rejected = 0
         self.diagnostics = self.create_publisher(
-            DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE, event_callbacks=NO_EVENTS
+            DiagnosticArray, topics.DIAGNOSTICS, qos.RELIABLE, event_callbacks=NO_EVENTS
         )
 
     @property
@@ -72,9 +73,9 @@ class BaseNode(Node):
         """Return the topics of this node that the awaited recorder has not subscribed to."""
         if not self.wait_for_recorder:
             return []
-        topics = {each.topic_name for each in self.publishers} - {ros.PARAMETER_EVENTS}
+        published = {each.topic_name for each in self.publishers} - {topics.PARAMETER_EVENTS}
         missing = []
-        for topic in sorted(topics):
+        for topic in sorted(published):
             subscribers = self.get_subscriptions_info_by_topic(topic)
             if not any(subscriber.node_name == "recorder" for subscriber in subscribers):
                 missing.append(topic)
