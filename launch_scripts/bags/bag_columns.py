@@ -9,10 +9,10 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ampc_msgs_config import ros, topics
+from ampc_msgs_config.config import parse
 from ampc_msgs_config.types import NANOSECONDS, Array
 from launch_scripts.bags.bag import Bag, BagMessage, open_bag
 
@@ -97,7 +97,7 @@ def read_columns(path: File, namespace: str | None = None) -> BagColumns:
             notes.append(f"Left out: {fault}.")
             wanted.remove(topic)
         if prefix + topics.TICK in wanted:  # contains the debug topics
-            wanted -= {prefix + topic for topic in DEBUG.values()}
+            wanted -= {prefix + topic for topic in DEBUG}
         collector = Collector(bag, prefix)
         for message in bag.messages(wanted):
             collector.take(message)
@@ -270,6 +270,12 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
         table = np.column_stack((seconds(stamps), numbers))
         values[name] = table[np.argsort(stamps, kind="stable")]
     path_times = stamps_of(np.array([time_ns for time_ns, _ in collector.paths], dtype=np.int64))
+    configuration = {}
+    for node, text in collector.texts.items():
+        try:
+            configuration[node] = parse(text, node)
+        except ValueError:
+            notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
     predicted = [collector.bag.decode(message) for message in collector.predictions]
     stamps = np.array([ros.nanoseconds(each.header.stamp) for each in predicted], dtype=np.int64)
     return BagColumns(
@@ -286,7 +292,7 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             Sample(time, path_array(each))
             for time, each in zip(seconds(stamps).tolist(), predicted, strict=True)
         ],
-        parse_configurations(collector.texts, notes),
+        configuration,
         notes,
     )
 
@@ -304,18 +310,3 @@ def tick_columns(rows: Mapping[str, Array], names: list[str]) -> dict[str, Array
                 values[:, 0] = commands[:, 0]
     finite = {name: values[np.isfinite(values[:, 1])] for name, values in quantities.items()}
     return {name: values for name, values in finite.items() if len(values)}
-
-
-def parse_configurations(texts: Mapping[str, str], notes: list[str]) -> dict[str, dict[str, Any]]:
-    """Parse the YAML documents of the nodes; note any that is not a mapping."""
-    configuration = {}
-    for node, text in texts.items():
-        try:
-            content = yaml.safe_load(text)
-        except (yaml.YAMLError, RecursionError):
-            content = None
-        if isinstance(content, dict):
-            configuration[node] = content
-        else:
-            notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    return configuration

@@ -176,10 +176,10 @@ def test_private_option_nrt_of_numba_rejects_a_function_that_allocates() -> None
 def test_private_module_event_of_numba_reports_each_compilation() -> None:
     calls: list[int] = []
 
-    @compiled
-    def double(x: float) -> float:
+    def twice(x: float) -> float:
         return 2.0 * x
 
+    double = compile_without_allocation(twice)  # never loaded from the disk
     with on_compilation(lambda: calls.append(1)):
         double(1.0)
         first = len(calls)
