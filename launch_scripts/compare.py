@@ -41,7 +41,7 @@ from launch_scripts.run.options import (
     create_folder,
     naming,
 )
-from sim_vehicle.car import RANGES
+from sim_vehicle.car import CAR_RANGES
 from sim_vehicle.parameters import load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
@@ -50,7 +50,7 @@ TABLE_WIDTH = 120
 """Smallest width of the printed table [characters]."""
 WRONG = 2
 """Exit code for an invalid option."""
-BOUNDS = {"laps": number(1, 1000), "seed": number(0, 2**31 - 1), "friction": RANGES["friction"]}
+BOUNDS = {"laps": number(1, 1000), "seed": number(0, 2**31 - 1), "friction": CAR_RANGES["friction"]}
 
 
 def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -19,14 +19,14 @@ from rich.text import Text
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
-from ampc_msgs_config.recording.message_types import TYPES
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.run.options import Run, prepare_run, read_run_options
 from launch_scripts.run.processes import Processes, ros_environment
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
-FAULTY = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
+FAULTED = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """Topics that the controller receives from the injector during fault injection."""
 GRACE_AFTER_NODE_DEATH = 1.5
 """Wall time during which the other nodes continue without a dead node, in real time [s]."""
@@ -97,9 +97,9 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
-    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if options["faults"] else {}
+    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTED} if options["faults"] else {}
     if options["faults"]:
-        record["topics"] = [f"{new}:{TYPES[topic]}" for topic, new in renamed.items()]
+        record["topics"] = [f"{new}:{TOPIC_TYPES[topic]}" for topic, new in renamed.items()]
     # Nodes
     nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record)
     nodes.start("planner", "ampc_ros.nodes.planner_node", common | route)

@@ -28,7 +28,7 @@ CHECK_PERIOD = 0.005
 """Period of the check for delayed messages [s]."""
 PATH_PERIOD = 0.5
 """Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
-TOPICS = {
+INPUT_TYPES = {
     ODOM: (Odometry, ros.RELIABLE),
     STEERING: (JointState, ros.RELIABLE),
     PATH: (PathMessage, ros.LATCHED),
@@ -60,7 +60,7 @@ class InjectorNode(BaseNode):
         self.qp_fails = False
         self.path: PathMessage | None = None
         self.outputs: dict[str, Any] = {}
-        for topic, (kind, qos) in TOPICS.items():
+        for topic, (kind, qos) in INPUT_TYPES.items():
             self.outputs[topic] = self.create_publisher(kind, ros.FAULTY + topic, qos)
             self.create_subscription(kind, topic, partial(self.on_message, topic), qos)
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.COMMAND)

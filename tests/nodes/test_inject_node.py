@@ -20,7 +20,7 @@ from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import load_faults
 from launch_scripts.nodes.injector_node import InjectorNode, pack, unpack
 from launch_scripts.replay import main as replay
-from launch_scripts.start import FAULTY as RENAMED
+from launch_scripts.start import FAULTED as RENAMED
 from launch_scripts.start import main as start
 from sim_vehicle.nodes.simulator_node import SimulatorNode
 from tests.ros_nodes import add, ros_context, spin_to_the_end
