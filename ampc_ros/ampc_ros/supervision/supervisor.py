@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import (
     LIMITS,
@@ -30,6 +31,7 @@ from ampc_ros.supervision.fallback import (
     FallbackChain,
 )
 from ampc_ros.supervision.guard import Guard
+from ampc_ros.supervision.progress import PathProgress
 from ampc_ros.supervision.received import Received
 
 
@@ -51,6 +53,7 @@ class Supervisor:
             ValueError: The gains make the controller's problem numerically singular.
         """
         self._filter = StateFilter()
+        self._progress = PathProgress()
         self._number, self._resets = number - 1, resets
         self._stop_requested = False
         self._state: Received[VehicleState] | None = None
@@ -163,6 +166,7 @@ class Supervisor:
     def forget(self) -> None:
         """Restart and wait for new inputs: the earlier ones belong to another drive."""
         self._filter.reset()
+        self._progress.forget()
         self._state = self._path = self._points = None
         self.clear_stop()
         self.restart()
@@ -211,6 +215,10 @@ class Supervisor:
         """Restart after a jump; a simulated car whose time goes back has straight wheels."""
         goes_back = self._state is not None and state.stamp_ns < self._state.stamp_ns
         self.restart(0.0 if goes_back and self.config.simulated_time else None)
+        if goes_back:
+            self._progress.forget()
+        else:
+            self._progress.relocate(self._centre(state))
 
     def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
         """Use a path through points (n, 2) [m]; the points in use only renew its times.
@@ -284,7 +292,11 @@ class Supervisor:
             command = self._chain.advance(STATE_LATE, last, now_ns)
         else:
             stepped = True
-            command = self._chain.answer(state.value, path.value, last, now_ns)
+            location = self._progress.locate(
+                self._centre(state.value), path.value, renew=self._chain.is_new_on_path
+            )
+            self._chain.feed_forward.progress = self._progress.tracker
+            command = self._chain.answer(state.value, location.path, last, now_ns)
             if command.reason == NO_REASON and is_path_lost:
                 command = command._replace(reason=PATH_LOST)
 
@@ -317,6 +329,10 @@ class Supervisor:
             self._number,
             float(self.qp_fault),
         )
+
+    def _centre(self, state: VehicleState) -> VehicleState:
+        """Return the state at the centre of gravity, which is projected onto the path."""
+        return at_distance(state, self.config.base_link_to_cg)
 
     def is_state_late(self, now_ns: int) -> bool:
         """Return whether the newest state is too old to wait for another one."""
