@@ -40,6 +40,7 @@ from ampc_ros.supervision.feed_forward import FeedForward
     OFF_PATH,
     AGAINST_PATH,
     BACKWARDS,
+    PATH_ENDS,
 ) = range(len(REASONS))
 
 PLAN_TIME = 0.5

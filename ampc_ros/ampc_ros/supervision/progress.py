@@ -129,7 +129,8 @@ def continued(old: Path, s: float, new: Path, car: VehicleState) -> int:
     places = candidates(new, car)
     if len(places) == 1:
         return int(places[0])
-    difference = differences(old, s, new, places * new.spacing)
+    arc = np.multiply(places, new.spacing, dtype=np.float64)
+    difference = differences(old, s, new, arc)
     similar = places[difference <= difference.min() + SIMILAR]
     expected = expected_progress(old, s, new)
     if expected is None:
@@ -146,7 +147,7 @@ def differences(old: Path, s: float, new: Path, places: Array) -> Array:
         new: New path.
         places: Arc lengths of the branches (n,) [m].
     """
-    offsets = np.arange(-BEHIND, AHEAD + STEP / 2, STEP)
+    offsets = np.arange(-BEHIND, AHEAD + STEP / 2, STEP, dtype=np.float64)
     x, y, heading, exists = places_at(old, s + offsets)
     new_x, new_y, _, new_exists = places_at(new, places[:, None] + offsets)
     dx, dy = new_x - x, new_y - y
