@@ -86,7 +86,7 @@ def test_path_that_moves_aside_is_approached_anew() -> None:
     supervisor = Supervisor(with_settings())
     for k in range(20):
         y_path = 3.5 if k >= 10 else 0.0
-        supervisor.take_path(POINTS + [0.0, y_path], NANOSECONDS, NANOSECONDS)
+        supervisor.take_path(POINTS + np.array([0.0, y_path]), NANOSECONDS, NANOSECONDS)
         supervisor.take_state(state(0.1 * k, 0.9 * k), state(0.1 * k, 0.0).stamp_ns)
         supervisor.tick(state(0.1 * k, 0.0).stamp_ns)
         assert not supervisor.stop_requested

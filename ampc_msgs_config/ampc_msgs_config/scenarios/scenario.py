@@ -36,6 +36,9 @@ RUN_OUT = 60.0
 """Least distance by which analytic paths continue beyond the end of the drive [m]."""
 RUN_OUT_TIME = 1.2
 """Time at the final speed in that distance, in addition to the braking distance [s]."""
+STAND_OFF = 1.5
+"""Distance of the stand from the end of the path: `odom` describes the rear axle, and the centre of
+gravity, which is projected onto the path, lies ahead of it [m]."""
 END_DECELERATION = 1.5
 """Deceleration at the end of an open path, below that of a stop request [m/s^2]."""
 SPEED = number(0.0, 100.0, "m/s", "Target speed.")
@@ -150,12 +153,11 @@ def target_speed(
     """
     s, index = advance(path, index, x, y, yaw)
     now = speed_at(profile, s if profile.over_distance else elapsed)
-    ahead = max(SPEED_PREVIEW * now, MIN_PREVIEW)
+    left = math.inf if path.closed else (len(path.x) - 1) * path.spacing - s - STAND_OFF
+    stopping = math.sqrt(2 * END_DECELERATION * max(left, 0.0))
+    ahead = max(SPEED_PREVIEW * min(now, stopping), MIN_PREVIEW)
     soon = speed_at(profile, s + ahead if profile.over_distance else elapsed + SPEED_PREVIEW)
-    if path.closed:
-        return soon, index
-    left = max((len(path.x) - 1) * path.spacing - s - ahead, 0.0)
-    return min(soon, math.sqrt(2 * END_DECELERATION * left)), index
+    return min(soon, math.sqrt(2 * END_DECELERATION * max(left - ahead, 0.0))), index
 
 
 def stopping_speed(path: Path) -> Array:
