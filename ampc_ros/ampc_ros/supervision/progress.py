@@ -1,0 +1,182 @@
+"""Progress along the reference path, which survives a new path and a restart of the controller.
+
+A controller projects the car onto its path in a window about the last projection. On a new path
+object it would have to search the whole path, where the nearest branch may be the wrong one: roads
+cross themselves, laps run side by side. The supervisor therefore owns the progress, and hands each
+path to the controllers with its `entry`, the sample at which the car joins it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, Progress, errors_at
+from ampc_msgs_config.types import Array, VehicleState
+
+GATE = 5.0
+"""A branch is a candidate if it is at most this much farther away than the nearest one [m]."""
+SEPARATION = 2.0
+"""Least arc length between two candidates [m]."""
+BEHIND, AHEAD, STEP = 20.0, 30.0, 1.0
+"""Range and step of the comparison of two branches, from the car [m]."""
+ALONG_WEIGHT = 0.3
+"""Weight of an offset along the path: the arc lengths of noisy paths differ."""
+SIMILAR = 0.3
+"""Branches whose differences from the driven one differ by less are equally good [m]."""
+SAME_END = 1.0
+"""Distance within which two ends of paths are the same place [m]."""
+
+Indices = NDArray[np.int64]
+
+
+class Location(NamedTuple):
+    """Position of the car relative to its path."""
+
+    path: Path
+    """Path with its entry, for the controllers."""
+    s: float
+    """Arc length of the centre of gravity [m]."""
+    cross_track_error: float
+    """Signed distance from the path, positive to its left [m]."""
+    step: float
+    """Change of that distance by a new path at this instant [m]."""
+
+
+class PathProgress:
+    """Owner of the progress along the path in use."""
+
+    def __init__(self) -> None:
+        """Start without a path."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget path and progress: the next path is searched as a first one."""
+        self.source: Path | None = None
+        self.tracker: Progress | None = None
+
+    def relocate(self, car: VehicleState) -> None:
+        """Continue after a jump of the position, on the nearest branch that is next in progress."""
+        if self.tracker is None or self.tracker.index == NOT_CAUGHT:
+            return
+        path = self.tracker.path
+        lap = len(path.x) - 1
+        places = candidates(path, car)
+        apart = places - self.tracker.index
+        if path.closed:
+            apart = (apart + lap // 2) % lap - lap // 2
+        self.tracker.index = int(self.tracker.index + apart[np.argmin(np.abs(apart))])
+
+    def locate(self, car: VehicleState, source: Path, *, renew: bool) -> Location:
+        """Project the car onto the path; on a new path, continue on the branch that it drives.
+
+        Args:
+            car: State of the centre of gravity.
+            source: Path as it was received.
+            renew: Whether the controller has no memory of its place on the path.
+        """
+        before = None
+        if self.tracker is None or self.source is None:
+            self.tracker = Progress(source)
+        elif source is not self.source:
+            s, before = errors(self.tracker, car)
+            entry = continued(self.tracker.path, s, source, car)
+            self.tracker = Progress(source._replace(entry=entry))
+        elif renew and self.tracker.index != self.tracker.path.entry:
+            self.tracker = Progress(source._replace(entry=self.tracker.index))
+        self.source = source
+        s, error = errors(self.tracker, car)
+        return Location(self.tracker.path, s, error, 0.0 if before is None else error - before)
+
+
+def errors(tracker: Progress, car: VehicleState) -> tuple[float, float]:
+    """Return arc length and cross-track error of a state [m]; store the progress."""
+    s = tracker.advance(car.x, car.y, car.yaw)
+    return s, errors_at(tracker.path, s, car.x, car.y, car.yaw)[0]
+
+
+def candidates(path: Path, car: VehicleState) -> Indices:
+    """Return the samples nearest to the car on each branch near it, in the car's direction.
+
+    Branches that lead the other way are ignored unless all do.
+    """
+    last = len(path.x) - 1 if path.closed else len(path.x)
+    distance = np.hypot(path.x[:last] - car.x, path.y[:last] - car.y)
+    away = np.cos(path.heading[:last] - car.yaw) < 0
+    if not away.all():
+        distance[away] = math.inf
+    reach = max(round(SEPARATION / path.spacing), 1)
+    least = minimum_filter1d(distance, 2 * reach + 1, mode="wrap" if path.closed else "nearest")
+    near = (distance == least) & (distance <= distance.min() + GATE)
+    return np.flatnonzero(near).astype(np.int64)
+
+
+def continued(old: Path, s: float, new: Path, car: VehicleState) -> int:
+    """Return the sample at which the car joins a new path: on the branch that it drives.
+
+    The branches near the car are compared with the path driven so far, behind and ahead. Among
+    equally good ones, such as laps on one line, the progress decides; without a common end of both
+    paths the first one wins.
+
+    Args:
+        old: Path driven so far.
+        s: Arc length of the car on it [m].
+        new: New path.
+        car: State of the centre of gravity.
+    """
+    places = candidates(new, car)
+    if len(places) == 1:
+        return int(places[0])
+    arc = np.multiply(places, new.spacing, dtype=np.float64)
+    difference = differences(old, s, new, arc)
+    similar = places[difference <= difference.min() + SIMILAR]
+    expected = expected_progress(old, s, new)
+    if expected is None:
+        return int(similar[0])
+    return int(similar[np.argmin(np.abs(similar * new.spacing - expected))])
+
+
+def differences(old: Path, s: float, new: Path, places: Array) -> Array:
+    """Return the RMS distance of branches of a new path from the driven path (n,) [m].
+
+    Args:
+        old: Path driven so far.
+        s: Arc length of the car on it [m].
+        new: New path.
+        places: Arc lengths of the branches (n,) [m].
+    """
+    offsets = np.arange(-BEHIND, AHEAD + STEP / 2, STEP, dtype=np.float64)
+    x, y, heading, exists = places_at(old, s + offsets)
+    new_x, new_y, _, new_exists = places_at(new, places[:, None] + offsets)
+    dx, dy = new_x - x, new_y - y
+    across = dy * np.cos(heading) - dx * np.sin(heading)
+    along = dx * np.cos(heading) + dy * np.sin(heading)
+    compared = exists & new_exists
+    squares = np.where(compared, across**2 + (ALONG_WEIGHT * along) ** 2, 0.0)
+    count = compared.sum(axis=1)
+    return np.asarray(np.sqrt(squares.sum(axis=1) / np.maximum(count, 1)) + GATE * (count == 0))
+
+
+def places_at(path: Path, s: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return x, y [m], heading [rad] of the samples at arc lengths, and whether they exist."""
+    last = len(path.x) - 1
+    i = np.rint(s / path.spacing).astype(np.int64)
+    exists = np.ones(i.shape, bool) if path.closed else (i >= 0) & (i <= last)
+    i = i % last if path.closed else np.clip(i, 0, last)
+    return path.x[i], path.y[i], path.heading[i], exists
+
+
+def expected_progress(old: Path, s: float, new: Path) -> float | None:
+    """Return the arc length on a new path that shares an end with the old one; None: no end."""
+    if old.closed:
+        s %= old.length
+    if distance(old, -1, new, -1) <= SAME_END:
+        return new.length - (old.length - s)
+    return s if distance(old, 0, new, 0) <= SAME_END else None
+
+
+def distance(a: Path, i: int, b: Path, k: int) -> float:
+    """Return the distance between a sample of one path and a sample of another [m]."""
+    return math.hypot(a.x[i] - b.x[k], a.y[i] - b.y[k])
