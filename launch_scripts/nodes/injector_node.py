@@ -116,11 +116,11 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
     Raises:
         ValueError: The message is invalid without any fault.
     """
-    stamp_ns = ros.nanoseconds(message.header.stamp)
+    stamp_ns, frame_id = ros.nanoseconds(message.header.stamp), message.header.frame_id
     if topic == ODOM:
-        return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message))
+        return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message), frame_id)
     if topic == PATH:
-        return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)))
+        return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)), frame_id)
     return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message).value)
 
 

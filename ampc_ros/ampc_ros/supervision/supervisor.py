@@ -212,8 +212,16 @@ class Supervisor:
         goes_back = self._state is not None and state.stamp_ns < self._state.stamp_ns
         self.restart(0.0 if goes_back and self.config.simulated_time else None)
 
-    def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
+    def take_path(
+        self, points: ArrayLike, stamp_ns: int, now_ns: int, checked: Path | None = None
+    ) -> None:
         """Use a path through points (n, 2) [m]; the points in use only renew its times.
+
+        Args:
+            points: (n, 2) positions in driving order [m].
+            stamp_ns: Stamp of the message [ns].
+            now_ns: Time of its arrival [ns].
+            checked: Result of `check_path` for these points; None: it is checked here.
 
         Raises:
             ValueError: The path cannot be driven; the last valid path is kept.
@@ -222,7 +230,7 @@ class Supervisor:
         if self._path and self._points is not None and np.array_equal(points, self._points):
             self._path = Received(self._path.value, stamp_ns, now_ns)
             return
-        path = check_path(points, self.config.chassis, self.config.max_angle)
+        path = checked or check_path(points, self.config.chassis, self.config.max_angle)
         self.follow(path, stamp_ns, now_ns)
         self._points = points
 
