@@ -24,7 +24,7 @@ from ampc_ros.nodes.background import Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
-from ampc_ros.nodes.received_path import BuiltPath, Request, Shift, build, header_of, prepare
+from ampc_ros.nodes.received_path import BuiltPath, Request, build, header_of, prepare
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.health import (
     Condition,
@@ -200,7 +200,7 @@ class ControllerNode(ConfiguredNode):
         request = Request(shift, config.chassis, config.max_angle)
         self.newest_path = None if self.frame.name else received
         assert self.builder
-        tag = received._replace(data=b""), shift
+        tag = received._replace(data=b""), self.frame.name
         self.builder.submit(tag, build, pickle.PickleBuffer(received.data), request)
 
     def on_built_path(self) -> None:
@@ -210,14 +210,14 @@ class ControllerNode(ConfiguredNode):
             try:
                 built = outcome.result()
                 if tag:
-                    received, shift = tag
-                    self.use_path(received, shift, built)
+                    received, fixed_frame = tag
+                    self.use_path(received, fixed_frame, built)
             except ValueError as error:
                 self.reject(error)
         if not self.builder.is_alive:
             self.restart_builder()
 
-    def use_path(self, received: ReceivedPath, shift: Shift, built: BuiltPath) -> None:
+    def use_path(self, received: ReceivedPath, fixed_frame: str, built: BuiltPath) -> None:
         """Use a path, unless the first odometry has come in another frame in the meantime.
 
         Raises:
@@ -225,7 +225,7 @@ class ControllerNode(ConfiguredNode):
         """
         self.built = self.built if built.points is None else built
         assert self.built.points is not None
-        if shift != Shift() or self.frame.name in ("", received.frame_id):
+        if self.frame.name in (fixed_frame, received.frame_id):
             times = received.stamp_ns, received.arrival_ns
             self.supervisor.take_path(self.built.points, *times, self.built.path)
             self.path_frame = received.frame_id
@@ -258,13 +258,17 @@ class ControllerNode(ConfiguredNode):
         self.child_frame = child
         is_first = not self.frame.name
         self.frame.accept(message.header.frame_id)
-        if is_first and self.path_frame not in ("", self.frame.name):
+        if not is_first:
+            return
+        kept, name = self.newest_path, self.frame.name
+        if self.path_frame not in ("", name):
             self.supervisor.forget()
-            if self.newest_path is None:  # it was not serialised
-                self.frame.shift(self.path_frame, 0)
-            self.request_path()
-        elif is_first:
+        if kept and kept.frame_id == name:
             self.newest_path = None
+        elif kept:
+            self.request_path()
+        elif self.path_frame:  # it was taken at once
+            self.frame.shift(self.path_frame, 0)
 
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
