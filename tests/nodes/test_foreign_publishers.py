@@ -371,8 +371,8 @@ def test_a_large_file_is_loaded_while_the_controller_steers(
         world = Foreign(executor, node, ros.LATCHED)
         world.publish_path(STRAIGHT)
         world.drive_for(5)
-        # They end with an error: about a second of work for the parser.
-        values = "".join(f"key_{i}: [1, 2, 3, 4]\n" for i in range(2000))
+        # They end with an error: some tenths of a second of work for the parser.
+        values = "".join(f"key_{i}: [1, 2, 3, 4]\n" for i in range(500))
         Path("guard.yaml").write_text(text + values, encoding="utf-8")
         client = world.create_client(Trigger, "controller/reload")
         world.spin_until(client.service_is_ready)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import IO, Any, NamedTuple
 
 NICENESS = 5
-"""Lower priority of the process, so that it cannot delay a command on a single core."""
+"""Niceness of a process that runs all the time, so that it cannot delay a command on one core."""
 
 
 class Outcome(NamedTuple):
@@ -40,13 +40,14 @@ class Outcome(NamedTuple):
 class Background:
     """Runs one call at a time in another process; a newer waiting call replaces an older one."""
 
-    def __init__(self, notify: Callable[[], None]) -> None:
+    def __init__(self, notify: Callable[[], None], niceness: int = 0) -> None:
         """Start the process, from a thread, so that this does not wait for it.
 
         Args:
             notify: Called from the thread whenever `take` has a further outcome.
+            niceness: Of the process.
         """
-        self.notify = notify
+        self.notify, self.niceness = notify, niceness
         self.replaced = 0
         """Number of calls that were replaced before they began."""
         self._waiting: tuple[Any, Any] | None = None
@@ -89,7 +90,7 @@ class Background:
         with self._changed:
             if self._is_closed:
                 return
-            self._process = process = start_process()
+            self._process = process = start_process(self.niceness)
         assert process.stdin
         assert process.stdout
         with process:
@@ -116,11 +117,11 @@ class Background:
             return None if self._is_closed else call
 
 
-def start_process() -> subprocess.Popen[bytes]:
+def start_process(niceness: int) -> subprocess.Popen[bytes]:
     """Start a process that runs `main` with the import path of this one."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     return subprocess.Popen(
-        [sys.executable, "-m", __name__],
+        [sys.executable, "-m", __name__, str(niceness)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         bufsize=0,
@@ -168,7 +169,7 @@ def _read(stream: IO[bytes], size: int) -> bytearray:
 def main() -> None:
     """Answer calls from the standard input until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    os.nice(int(sys.argv[1]))
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # a print in a called function must not reach the pipe
     while True:

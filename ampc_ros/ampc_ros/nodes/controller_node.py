@@ -20,7 +20,7 @@ from ampc_msgs_config.nodes.base_node import spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
-from ampc_ros.nodes.background import Background
+from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
@@ -114,7 +114,7 @@ class ControllerNode(ConfiguredNode):
     def restart_builder(self) -> None:
         """Start another process."""
         self.built = BuiltPath(None, None)
-        self.builder = Background(self.path_ready.trigger)
+        self.builder = Background(self.path_ready.trigger, NICENESS)
         self.builder.submit(None, prepare)
 
     def stop_builder(self) -> None:
