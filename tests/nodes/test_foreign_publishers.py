@@ -54,7 +54,7 @@ SPEED = 8.0
 STRAIGHT = np.column_stack((np.arange(0.0, 400.0, 2.0), np.zeros(200)))
 
 
-def sine(s: Array) -> Array:
+def sine(s: Any) -> Array:
     """Return points (n, 2) of a gentle slalom at the given x [m]."""
     return np.column_stack((s, 1.5 * np.sin(s / 12.0)))
 
@@ -429,10 +429,14 @@ def test_the_planner_publishes_its_path_in_the_frame_of_the_odometry() -> None:
     with ros_context(scenario="straight") as executor:
         node, car = PlannerNode(), Node("car")
         frames: list[str] = []
+
+        def on_path(message: PathMessage) -> None:
+            frames.append(message.header.frame_id)
+
         car.create_subscription(
             PathMessage,
             ros.REFERENCE_PATH,
-            lambda message: frames.append(message.header.frame_id),
+            on_path,
             ros.LATCHED,
         )
         odom = car.create_publisher(Odometry, ros.ODOM, 1)
