@@ -22,7 +22,7 @@ from tests.ros_nodes import add, spin_until
 from tests.waiting import SCALE
 
 CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])
-LOST_ANSWER = 5.0 * SCALE
+LOST_ANSWER = 15.0 * SCALE
 """Wall time after which a service is called again [s]."""
 OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
 

@@ -243,11 +243,19 @@ class Supervisor:
         else:
             self._progress.relocate(self._centre(state))
 
-    def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
+    def take_path(
+        self, points: ArrayLike, stamp_ns: int, now_ns: int, checked: Path | None = None
+    ) -> None:
         """Use a path through points (n, 2) [m]; the points in use only renew its times.
 
         An empty path means that there is none: a stop is requested until the next valid path, and
         the car steers along the last one meanwhile.
+
+        Args:
+            points: (n, 2) positions in driving order [m].
+            stamp_ns: Stamp of the message [ns].
+            now_ns: Time of its arrival [ns].
+            checked: Result of `check_path` for these points; None: it is checked here.
 
         Raises:
             ValueError: The path cannot be driven; the last valid path is kept.
@@ -262,7 +270,7 @@ class Supervisor:
             self._path = Received(self._path.value, stamp_ns, now_ns)
             self._stop.no_path = False
             return
-        path = check_path(points, self.config.chassis, self.config.max_angle)
+        path = checked or check_path(points, self.config.chassis, self.config.max_angle)
         self.follow(path, stamp_ns, now_ns)
         self._points = points
 
