@@ -153,7 +153,12 @@ def test_a_path_arrives_once_from_publishers_of_any_qos(
     world.spin_until(lambda: world.paths.get_subscription_count() > 0)
     received: list[bytes] = []
     entry, used = node.inputs.topics[ros.REFERENCE_PATH], node.on_serialized_path
-    entry.callback = lambda data: (received.append(data), used(data))
+
+    def on_data(data: bytes) -> None:
+        received.append(data)
+        used(data)
+
+    entry.callback = on_data
     if "volatile" in offered:  # all subscriptions that the chain creates for another publisher
         latched = world.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         latched.publish(ros.path_message(sine(np.arange(0.0, 50.0)), world.now_ns))
