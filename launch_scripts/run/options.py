@@ -65,6 +65,8 @@ def add_route_options(add: Callable[..., None]) -> None:
     text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
     add("--lateral-acceleration", -1.0, text, type=float)
     add("--laps", 1, "number of laps on the closed path of a CSV file", type=int)
+    text = "columns of the CSV file by number or name, such as x=3,y=4; default: by its header"
+    add("--columns", "", text)
 
 
 def add_car_options(add: Callable[..., None]) -> None:

@@ -194,10 +194,10 @@ def test_lap_of_thirteen_points_whose_last_is_the_first_has_no_gap() -> None:
 def test_open_path_states_why_it_is_not_closed() -> None:
     angle = np.linspace(0.0, math.tau, 200)
     lap = 30.0 * np.column_stack((np.sin(angle), 1 - np.cos(angle)))
-    assert closure(lap) == (True, "its ends meet within 7.35e-15 m") or closure(lap).closed
-    assert "4.7 m apart" in closure(lap[:-5]).reason
+    assert closure(lap).closed
+    assert "4.73 m apart" in closure(lap[:-5]).reason
     more = 30.0 * np.column_stack((np.sin(angle * 1.05), 1 - np.cos(angle * 1.05)))
-    assert closure(more).reason.startswith("its end passes its start by 9.")
+    assert closure(more).reason.startswith("its end passes its start by 9")
     out = np.column_stack((np.arange(50.0), np.zeros(50)))
     assert "directions differ by 180 degrees" in closure(np.concatenate((out, out[::-1]))).reason
     assert "it has 3 points" in closure(out[:3]).reason

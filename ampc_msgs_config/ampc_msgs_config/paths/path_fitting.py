@@ -170,13 +170,8 @@ def _closure(corners: Array) -> tuple[Closure, int]:
         float((corners[-1] - corners[0]) @ begin),
         abs(_cross(begin, corners[-1] - corners[0])),
     )
-    where = f"its ends are {apart:.3g} m apart"
     if apart > near:
-        if 0 < along <= PASSING and across <= MEETING:
-            where = f"its end passes its start by {along:.3g} m"
-        elif 0 < -along <= PASSING and across <= MEETING:
-            where += f", a lap's at most {near:.3g} m"
-        return Closure(False, where), count
+        return Closure(False, _distance_of_ends(corners, gaps, apart, near)), count
     if begin @ end < math.cos(MAX_TURN):
         turn = math.degrees(math.acos(min(max(float(begin @ end), -1.0), 1.0)))
         return Closure(
@@ -188,6 +183,17 @@ def _closure(corners: Array) -> tuple[Closure, int]:
     while count > 2 and _repeats(corners[count - 1] - corners[0], begin, near):
         count -= 1
     return Closure(True, f"its ends meet within {apart:.3g} m"), count
+
+
+def _distance_of_ends(corners: Array, gaps: Array, apart: float, near: float) -> str:
+    """Return why ends that are too far apart do not close the path."""
+    way = np.concatenate(([0.0], np.cumsum(gaps)))
+    first = corners[way < min(PASSING, way[-1] / 2)]
+    distance = np.hypot(*(first - corners[-1]).T)
+    nearest = int(np.argmin(distance))
+    if nearest and distance[nearest] <= near:
+        return f"its end passes its start by {way[nearest]:.3g} m"
+    return f"its ends are {apart:.3g} m apart, those of a lap at most {near:.3g} m"
 
 
 def _repeats(offset: Array, begin: Array, near: float) -> bool:
