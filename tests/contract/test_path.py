@@ -184,7 +184,7 @@ def test_path_is_extended_backwards_along_its_first_arc(length: float, side: flo
     assert length <= added * path.spacing < length + path.spacing
     assert longer.spacing == path.spacing
     for one, other in zip(longer[1:5], path[1:5], strict=True):
-        np.testing.assert_array_equal(one[added:], other)  # type: ignore[index]
+        np.testing.assert_array_equal(one[added:], other)
     s = path.spacing * np.arange(-added, 0)
     np.testing.assert_allclose(longer.x[:added], radius * np.sin(s / radius), atol=0.02)
     np.testing.assert_allclose(longer.y[:added], radius * (1 - np.cos(s / radius)), atol=0.02)
