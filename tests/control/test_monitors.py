@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path as File
 from typing import NamedTuple
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def with_settings(**values: float) -> Configuration:
     return config._replace(settings=replace(config.settings, **values))  # type: ignore[arg-type]
 
 
-def detected(errors: Array, period: float = 0.1, bound: float = 1.0) -> list[float]:
+def detected(errors: Any, period: float = 0.1, bound: float = 1.0) -> list[float]:
     """Return the times at which a course of cross-track errors counts as off the path [s]."""
     monitor, times = DeviationMonitor(), []
     for k, error in enumerate(errors.tolist()):
@@ -237,7 +239,8 @@ def test_empty_path_requests_a_stop_until_the_next_valid_path() -> None:
     assert supervisor.path is None
     supervisor.take_path(POINTS, NANOSECONDS, NANOSECONDS)
     seen = []
-    for k, points in enumerate((POINTS, [], [], POINTS, POINTS + 0.01, np.empty((0, 2)))):
+    sent: list[Any] = [POINTS, [], [], POINTS, POINTS + 0.01, np.empty((0, 2))]
+    for k, points in enumerate(sent):
         supervisor.take_path(points, NANOSECONDS, NANOSECONDS)
         supervisor.take_state(new := state(0.1 * k, 0.9 * k), new.stamp_ns)
         record = supervisor.tick(new.stamp_ns)

@@ -25,8 +25,8 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
-from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
 from ampc_msgs_config.nodes.inputs import Inputs
+from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 

@@ -270,7 +270,11 @@ class Supervisor:
             self._path = Received(self._path.value, stamp_ns, now_ns)
             self._stop.no_path = False
             return
-        path = checked or check_path(points, self.config.chassis, self.config.max_angle)
+        if checked is None:
+            noise = self.config.settings.known_path_noise
+            chassis, angle = self.config.chassis, self.config.max_angle
+            checked = check_path(points, chassis, angle, path_noise=noise)
+        path = checked
         self.follow(path, stamp_ns, now_ns)
         self._points = points
 
