@@ -155,18 +155,19 @@ class Column:
             topic: Full name of the topic.
             notes: Receives one sentence for each kind of fault.
         """
-        stamps, total = np.array(self.stamps), self.rejected + len(self.stamps)
-        values = np.array(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
-        is_set = stamps != 0
-        if not is_set.any() or stamps[is_set].min() < FIRST_STAMP:
-            is_set[:] = True
-        if unset := int((~is_set).sum()):
+        stamps, total = np.asarray(self.stamps), self.rejected + len(self.stamps)
+        values = np.asarray(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
+        is_set: Any = stamps != 0
+        unset = len(stamps) - int(is_set.sum())
+        if 0 < unset < len(stamps) and stamps[is_set].min() >= FIRST_STAMP:
             self.reject("the stamp is 0", unset)
+        else:
+            is_set = slice(None)  # no copy
         if self.rejected:
             notes.append(f"{topic}: {self.rejected} of {total} messages rejected: {self.reason}.")
         if back := int((np.diff(stamps[is_set]) < 0).sum()):
             notes.append(f"{topic}: time goes back {back} times; sorted by the stamps.")
-        return ColumnRows(stamps[is_set], np.array(self.log_times)[is_set], values[is_set])
+        return ColumnRows(stamps[is_set], np.asarray(self.log_times)[is_set], values[is_set])
 
 
 class Collector:
