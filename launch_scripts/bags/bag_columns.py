@@ -277,8 +277,10 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             configuration[node] = parse(text, node)
         except ValueError:
             notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    predicted = [collector.bag.decode(message) for message in collector.predictions]
-    stamps = np.array([ros.nanoseconds(each.header.stamp) for each in predicted], dtype=np.int64)
+    predictions = []
+    for message in map(collector.bag.decode, collector.predictions):  # one at a time: they are big
+        stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
+        predictions.append(Sample(float(seconds(stamp_ns)), path_array(message)))
     return BagColumns(
         path,
         namespace,
@@ -289,10 +291,7 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             Sample(time, points)
             for time, (_, points) in zip(seconds(path_times).tolist(), collector.paths, strict=True)
         ],
-        [
-            Sample(time, path_array(each))
-            for time, each in zip(seconds(stamps).tolist(), predicted, strict=True)
-        ],
+        predictions,
         configuration,
         notes,
     )
