@@ -22,7 +22,7 @@ from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import shipped
-from ampc_msgs_config.metrics import METRICS, RESULT, Drive, evaluate
+from ampc_msgs_config.metrics import METRICS, RESULT, Drive, evaluate_drive
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS, TickRecord
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
@@ -170,7 +170,7 @@ def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int
     recorded = Drive([tick.state for tick in run.ticks], steering, solve_time)
     path = make_path(run.ticks[-1].path.points)
     before, after = (
-        evaluate(each, path, config.base_link_to_cg, config.settings.sample_time)
+        evaluate_drive(each, path, config.base_link_to_cg, config.settings.sample_time)
         for each in (recorded, closed)
     )
     table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")

@@ -33,7 +33,7 @@ from launch_scripts.study.page import study_page
 
 PICTURES = ("sc2", "sweep", "sphere")
 """Figures of the documentation."""
-SOURCES = ("paper", "authors_code")
+ORIGINS = ("paper", "authors_code")
 
 
 def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -44,7 +44,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--output", type=Path, default=Path("runs/reproduce"), help="folder to write"
     )
-    parser.add_argument("--reading", choices=SOURCES, default="paper", help="source of all choices")
+    parser.add_argument("--reading", choices=ORIGINS, default="paper", help="source of all choices")
     parser.add_argument(
         "--switch",
         action="append",
@@ -85,8 +85,8 @@ def read_switches(reading: str, assignments: Sequence[str]) -> Switches:
             raise ValueError(
                 f"--switch {item}: {name!r} must be one of {', '.join(STUDY_SWITCHES)}"
             )
-        if choice not in SOURCES:
-            raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(SOURCES)}")
+        if choice not in ORIGINS:
+            raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(ORIGINS)}")
         (names.add if choice == "authors_code" else names.discard)(name)
     return frozenset(names)
 

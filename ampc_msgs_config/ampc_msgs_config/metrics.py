@@ -87,7 +87,9 @@ class Metric(NamedTuple):
     """LOWER or NEUTRAL: which values are better."""
 
 
-def evaluate(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> dict[str, float]:
+def evaluate_drive(
+    drive: Drive, path: Path, base_link_to_cg: float, period: float
+) -> dict[str, float]:
     """Return the metrics of the result table by key.
 
     Args:
@@ -108,7 +110,7 @@ def measure(keys: Iterable[str], record: DriveRecord) -> dict[str, Value]:
 
 
 def record_of(drive: Drive, path: Path, base_link_to_cg: float, period: float) -> DriveRecord:
-    """Return the record of a drive along a path; for the arguments see `evaluate`."""
+    """Return the record of a drive along a path; for the arguments see `evaluate_drive`."""
     error, heading = errors(drive, path, base_link_to_cg).T
     return DriveRecord(
         ticks(drive),

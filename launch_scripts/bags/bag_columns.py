@@ -155,18 +155,19 @@ class Column:
             topic: Full name of the topic.
             notes: Receives one sentence for each kind of fault.
         """
-        stamps, total = np.array(self.stamps), self.rejected + len(self.stamps)
-        values = np.array(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
-        is_set = stamps != 0
-        if not is_set.any() or stamps[is_set].min() < FIRST_STAMP:
-            is_set[:] = True
-        if unset := int((~is_set).sum()):
+        stamps, total = np.asarray(self.stamps), self.rejected + len(self.stamps)
+        values = np.asarray(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
+        is_set: Any = stamps != 0
+        unset = len(stamps) - int(is_set.sum())
+        if 0 < unset < len(stamps) and stamps[is_set].min() >= FIRST_STAMP:
             self.reject("the stamp is 0", unset)
+        else:
+            is_set = slice(None)  # no copy
         if self.rejected:
             notes.append(f"{topic}: {self.rejected} of {total} messages rejected: {self.reason}.")
         if back := int((np.diff(stamps[is_set]) < 0).sum()):
             notes.append(f"{topic}: time goes back {back} times; sorted by the stamps.")
-        return ColumnRows(stamps[is_set], np.array(self.log_times)[is_set], values[is_set])
+        return ColumnRows(stamps[is_set], np.asarray(self.log_times)[is_set], values[is_set])
 
 
 class Collector:
@@ -276,8 +277,10 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             configuration[node] = parse(text, node)
         except ValueError:
             notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    predicted = [collector.bag.decode(message) for message in collector.predictions]
-    stamps = np.array([ros.nanoseconds(each.header.stamp) for each in predicted], dtype=np.int64)
+    predictions = []
+    for message in map(collector.bag.decode, collector.predictions):  # one at a time: they are big
+        stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
+        predictions.append(Sample(float(seconds(stamp_ns)), path_array(message)))
     return BagColumns(
         path,
         namespace,
@@ -288,10 +291,7 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             Sample(time, points)
             for time, (_, points) in zip(seconds(path_times).tolist(), collector.paths, strict=True)
         ],
-        [
-            Sample(time, path_array(each))
-            for time, each in zip(seconds(stamps).tolist(), predicted, strict=True)
-        ],
+        predictions,
         configuration,
         notes,
     )

@@ -223,29 +223,23 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 def comparison_page(comparison: Comparison, key: str, figures: Mapping[str, Figure]) -> str:
     """Return the page with the figures of `write_comparison` and the metric of the heat map."""
-    machine = {name: v for name, v in describe_machine().items() if name != "packages"}
+    tables = []
+    for each in QUANTITIES.values():
+        rows: list[list[str]] = []
+        for name, shown in comparison.rows(each):
+            rows.append([name])
+            for cell, text, is_best in shown:
+                value = data(cell.numbers[each], text) if cell.kept else text
+                rows[-1].append(Markup("<b>{}</b>").format(value) if is_best else value)
+        tables.append((heading_of(each), REMARKS.get(each, ""), rows))
     return render(
         "comparing/compare.html",
         comparison=comparison,
         lost=f"{LOST:g} m",
         title=METRICS[key].title,
-        tables=[
-            (heading_of(each), REMARKS.get(each, ""), table_rows(comparison, each))
-            for each in QUANTITIES.values()
-        ],
+        tables=tables,
         roads=list(comparison.rows("rms_error_m")),
         figures={name: svg(figure) for name, figure in figures.items()},
         version=__version__,
-        machine=machine,
+        machine={name: v for name, v in describe_machine().items() if name != "packages"},
     )
-
-
-def table_rows(comparison: Comparison, key: str) -> list[list[str]]:
-    """Return the rows of one metric for the page."""
-    rows: list[list[str]] = []
-    for name, shown in comparison.rows(key):
-        rows.append([name])
-        for cell, text, is_best in shown:
-            value = data(cell.numbers[key], text) if cell.kept else text
-            rows[-1].append(Markup("<b>{}</b>").format(value) if is_best else value)
-    return rows

@@ -84,7 +84,7 @@ def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.F
     for row, axis in enumerate(panel.axes, 1):
         for k, drive in enumerate(drives):
             for series in axis.lines(drive):
-                time, values = thinned(series, points)
+                time, values = thin_series(series, points)
                 trace = line_of(series, series.color(k, len(drives)), several)
                 name = f"{drive.name}: {series.label}" if several else series.label
                 visible = not several and series.label not in kinds
@@ -241,6 +241,15 @@ def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
     kept = even_choice(len(time), MAX_FRAMES // drives)
     x, y, yaw, speed = drive.states[kept, :4].T
     error, heading = drive.errors[kept].T
+    rows, rungs = drive.record.tick.get("rung", NO_POINTS), []
+    if len(rows):
+        at = np.searchsorted(rows[:, 0], time[kept], side="right") - 1
+        rungs = np.clip(rows[np.maximum(at, 0), 1], *INDEX_RANGE).astype(int).tolist()
+    predictions, samples = [], drive.columns.predictions
+    for k in even_choice(len(samples), MAX_PREDICTED // drives):
+        points = samples[k].points[even_choice(len(samples[k].points), PREDICTED_POINTS)]
+        t = round(samples[k].time, MILLISECOND)
+        predictions.append({"t": t, "x": to_plain(points[:, 0]), "y": to_plain(points[:, 1])})
     return {
         "name": drive.name,
         "cg": drive.context.to_cg,
@@ -253,8 +262,8 @@ def motion(drive: JudgedDrive, drives: int) -> dict[str, Any]:
         "error": to_plain(error, 4),
         "heading": to_plain(np.degrees(heading), 3),
         "steering": rounded(np.degrees(steering[kept]) if len(steering) else steering, 4),
-        "rung": rungs(drive, time[kept]),
-        "predictions": predictions(drive, MAX_PREDICTED // drives),
+        "rung": rungs,
+        "predictions": predictions,
     }
 
 
@@ -263,30 +272,12 @@ def even_choice(count: int, most: int) -> NDArray[np.int64]:
     return np.asarray(np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)))
 
 
-def rungs(drive: JudgedDrive, time: Array) -> list[int]:
-    """Return the rung at the given times [s], or an empty list where the bag has none."""
-    rows = drive.record.tick.get("rung", NO_POINTS)
-    if not len(rows):
-        return []
-    at = np.searchsorted(rows[:, 0], time, side="right") - 1
-    return [int(value) for value in np.clip(rows[np.maximum(at, 0), 1], *INDEX_RANGE)]
-
-
-def predictions(drive: JudgedDrive, most: int) -> list[dict[str, Any]]:
-    """Return at most `most` predicted paths, evenly spaced."""
-    samples, result = drive.columns.predictions, []
-    for sample in (samples[k] for k in even_choice(len(samples), most)):
-        x, y = sample.points[even_choice(len(sample.points), PREDICTED_POINTS)].T
-        result.append({"t": round(sample.time, MILLISECOND), "x": to_plain(x), "y": to_plain(y)})
-    return result
-
-
 def to_plain(values: Array, decimals: int = CENTIMETRE) -> list[float | None]:
     """Return rounded Python numbers, with None in place of nan and infinity."""
     return [v if np.isfinite(v) else None for v in np.round(values, decimals).tolist()]
 
 
-def thinned(series: Series, points: int) -> tuple[list[Any], list[Any]]:
+def thin_series(series: Series, points: int) -> tuple[list[Any], list[Any]]:
     """Return time and values of about `points` points, with all peaks; None marks a gap."""
     finite = np.isfinite(series.values)
     time, values = series.time[finite], series.values[finite]

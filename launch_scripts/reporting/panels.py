@@ -89,7 +89,7 @@ class Panel(NamedTuple):
     axes: tuple[Axis, ...]
 
 
-def errors(label: str, column: int, scale: float = 1.0) -> Lines:
+def error_lines(label: str, column: int, scale: float = 1.0) -> Lines:
     """Return the function that yields a column of the tracking errors in the unit of the axis."""
 
     def lines(drive: JudgedDrive) -> Iterator[Series]:
@@ -173,13 +173,13 @@ PANELS = [
         "cross_track",
         "Cross-track error",
         "Distance of the centre of gravity from the path, positive to its left.",
-        (Axis("error [m]", errors("cross-track error", 0), visible=(-0.05, 0.05)),),
+        (Axis("error [m]", error_lines("cross-track error", 0), visible=(-0.05, 0.05)),),
     ),
     Panel(
         "heading",
         "Heading error",
         "Heading of the car minus heading of the path, positive to the left.",
-        (Axis("error [deg]", errors("heading error", 1, DEG), visible=(-0.5, 0.5)),),
+        (Axis("error [deg]", error_lines("heading error", 1, DEG), visible=(-0.5, 0.5)),),
     ),
     Panel(
         "steering",

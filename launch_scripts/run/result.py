@@ -7,7 +7,7 @@ from rich.table import Table
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.metrics import METRICS, RESULT, evaluate
+from ampc_msgs_config.metrics import METRICS, RESULT, evaluate_drive
 from ampc_msgs_config.parameters import ControllerSettings
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
@@ -34,7 +34,7 @@ def write_result(run: Run, ended: str) -> Table:
     columns = read_columns(run.bag)
     log = drive_log(columns)
     to_cg = vehicle.chassis.cg_to_rear_axle
-    metrics = evaluate(log.drive, log.path, to_cg, settings.sample_time)
+    metrics = evaluate_drive(log.drive, log.path, to_cg, settings.sample_time)
     content = {"run": options, "ended": ended, "version": __version__, "metrics": metrics}
     text = json.dumps(to_json(content), indent=2, allow_nan=False) + "\n"
     (run.folder / "metrics.json").write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from ampc_msgs_config.metrics import (
     DriveRecord,
     distance_driven,
     errors,
-    evaluate,
+    evaluate_drive,
     lateral_errors,
     measure,
     record_of,
@@ -56,7 +56,7 @@ def along_slope(left: Array) -> Drive:
 
 
 def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
-    actual = evaluate(
+    actual = evaluate_drive(
         drive([1.0, -2.0, 0.0], [0.0, math.radians(3.0), math.radians(-1.0)], [5.0, 5.1, 5.2]),
         ROAD,
         base_link_to_cg=1.6,
@@ -87,7 +87,7 @@ def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
     [([0.0, 0.1, 0.2], 0), ([0.0, 0.2, 0.3], 1), ([0.0, 0.1, 0.6], 4), ([0.0, 0.104, 0.19], 0)],
 )
 def test_missed_ticks_are_the_gaps_of_the_stamps(times: list[float], missed: int) -> None:
-    judged = evaluate(drive([0.0] * 3, [0.0] * 3, times), ROAD, 0.0, period=0.1)
+    judged = evaluate_drive(drive([0.0] * 3, [0.0] * 3, times), ROAD, 0.0, period=0.1)
     assert judged["missed_ticks"] == missed
 
 
@@ -111,7 +111,7 @@ def test_both_errors_are_distances_from_a_straight_road_wherever_it_leads() -> N
 def test_paper_s_error_is_undefined_where_the_path_is_no_graph() -> None:
     angle = np.linspace(0.0, 3.6, 40, dtype=np.float64)
     bend = make_path(20.0 * np.column_stack((np.sin(angle), 1 - np.cos(angle))))
-    judged = evaluate(drive([0.0] * 3, [0.0] * 3, [0.0, 0.1, 0.2]), bend, 0.0, 0.1)
+    judged = evaluate_drive(drive([0.0] * 3, [0.0] * 3, [0.0, 0.1, 0.2]), bend, 0.0, 0.1)
     assert math.isnan(judged["mse_lateral_m2"])
     assert math.isfinite(judged["mse_m2"])
 

@@ -11,7 +11,7 @@ import pytest
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.frames import at_distance
-from ampc_msgs_config.metrics import Drive, errors, evaluate
+from ampc_msgs_config.metrics import Drive, errors, evaluate_drive
 from ampc_msgs_config.paths.path import Path as ReferencePath
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
@@ -44,7 +44,7 @@ def driven(route: Scenario, controller: str, step_ns: int = 5_000_000) -> Drive:
 def metrics_of(route: Scenario, controller: str, step_ns: int = 5_000_000) -> dict[str, float]:
     """Drive a scenario and give the numbers of the result table."""
     done = driven(route, controller, step_ns)
-    return evaluate(done, make_path(route.points), TO_CG, period=0.1)
+    return evaluate_drive(done, make_path(route.points), TO_CG, period=0.1)
 
 
 def mirrored(route: Scenario) -> Scenario:

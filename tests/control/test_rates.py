@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.metrics import evaluate
+from ampc_msgs_config.metrics import evaluate_drive
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.controller import make_controller
@@ -40,7 +40,7 @@ def metrics_of(
     simulation = Simulation(vehicle, scenario, noise=heard, rng=np.random.default_rng(1))
     done = drive(simulation, controller)
     path = make_path(scenario.points)
-    return evaluate(done, path, vehicle.chassis.cg_to_rear_axle, controller.period)
+    return evaluate_drive(done, path, vehicle.chassis.cg_to_rear_axle, controller.period)
 
 
 @every_rate

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.metrics import LOWER, METRICS, evaluate
+from ampc_msgs_config.metrics import LOWER, METRICS, evaluate_drive
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
@@ -79,7 +79,7 @@ def test_a_cell_has_the_numbers_of_a_single_drive(contender: Contender) -> None:
     choices = Choices(contender.controller, gain_table=contender.gain_table)
     alone = drive(Simulation(vehicle, scenario), make_controller(choices))
     path = make_path(scenario.points)
-    expected = evaluate(alone, path, vehicle.chassis.cg_to_rear_axle, 0.1)
+    expected = evaluate_drive(alone, path, vehicle.chassis.cg_to_rear_axle, 0.1)
     cell = drive_cell(contender, scenario, CALM)
     shared = set(REPEATED) & set(expected)
     assert len(shared) >= 4

@@ -21,7 +21,7 @@ from ampc_ros.mpc.internal_model import limits_of
 from ampc_ros.preview.model import angle_bound
 from launch_scripts.report import main, names_of, page_file
 from launch_scripts.reporting import export, page
-from launch_scripts.reporting.charts import draw_panel, thinned
+from launch_scripts.reporting.charts import draw_panel, thin_series
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.page import MAX_BYTES
 from launch_scripts.reporting.panels import PANELS, Axis, Panel, Series
@@ -346,7 +346,7 @@ def test_thinning_keeps_every_peak_and_shows_every_gap() -> None:
     time[120_000:] += 60.0
     values = np.sin(0.01 * time)
     values[[777, 99_999, 150_001]] = 9.0, -7.0, 5.0
-    x, y = thinned(Series("", time, values), 1000)
+    x, y = thin_series(Series("", time, values), 1000)
     known = [value for value in y if value is not None]
     assert len(known) < 1500
     assert max(known) == 9.0
@@ -358,7 +358,7 @@ def test_thinning_keeps_every_peak_and_shows_every_gap() -> None:
 
 def test_a_line_that_steps_is_kept_where_it_changes() -> None:
     time, values = np.arange(1000, dtype=np.float64), np.repeat([3.0, 4.0], 500)
-    x, y = thinned(Series("", time, values, step=True), 1000)
+    x, y = thin_series(Series("", time, values, step=True), 1000)
     assert (x, y) == ([0.0, 500.0, 999.0], [3.0, 4.0, 4.0])
 
 

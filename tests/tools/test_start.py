@@ -246,7 +246,7 @@ def test_what_only_a_node_can_refuse_is_said_in_one_line_and_nothing_is_left(
 WRONG_OPTIONS = {
     "--controller=absent.py:Stanley": "absent.py",
     "--controller=bad.csv:Stanley": "'bad.csv:Stanley' must be one of preview, ",
-    "--controller=bad.py:Absent": "bad.py:Absent: ",
+    "--controller=bad.py:Absent": "bad.py:Absent': the file has no class Absent",
     "--controller=magic": "'magic' must be one of preview, ",
     "--scenario=sc99": "'sc99' is neither a file nor one of the shipped scenarios: circle, ",
     "--vehicle=tank": "'tank' is neither a file nor one of the shipped vehicles: ordinary, paper",

@@ -90,11 +90,16 @@ def search(
     def evaluate(position: Array) -> Array:
         nonlocal count
         count += len(position)
-        return _finite_fitness(list(map(cost, _rounded(space, position))), len(position))
+        fitness = np.array(list(map(cost, _rounded(space, position))), float)
+        if fitness.shape != (len(position),):
+            raise ValueError(
+                f"cost: returned shape {fitness.shape}, must be one number per particle, "
+                f"({len(position)},)"
+            )
+        return np.where(np.isfinite(fitness), fitness, np.inf)
 
-    def generations(swarm: Swarm | None) -> Iterator[Swarm]:
-        if swarm is None:
-            swarm = _initial(context)
+    def generations() -> Iterator[Swarm]:
+        swarm = _initial(context) if resume is None else resume
         yield swarm
         while swarm.generation < settings.generations:
             rng.bit_generator.state = swarm.random
@@ -108,7 +113,7 @@ def search(
             yield swarm
 
     context = SwarmContext(evaluate, space, settings, rng)
-    return generations(resume)
+    return generations()
 
 
 def map_vectorized(cost: Callable[[Array], Iterable[Any]], positions: Array) -> Iterable[Any]:
@@ -162,13 +167,3 @@ def _moved(swarm: Swarm, context: SwarmContext) -> tuple[Array, Array]:
 
 def _rounded(space: Space, position: Array) -> Array:
     return np.where(space.integer, np.rint(position), position)
-
-
-def _finite_fitness(values: Sequence[Any], particles: int) -> Array:
-    """Return the values of the cost as an array; values that are not finite become infinite."""
-    fitness = np.array(values, float)
-    if fitness.shape != (particles,):
-        raise ValueError(
-            f"cost: returned shape {fitness.shape}, must be one number per particle, ({particles},)"
-        )
-    return np.where(np.isfinite(fitness), fitness, np.inf)
