@@ -21,7 +21,7 @@ from ampc_msgs_config.types import Array, VehicleState
 from ampc_msgs_config.validation import Checked
 from ampc_ros.mpc.internal_model import limits_of
 from ampc_ros.preview.model import angle_bound
-from ampc_ros.preview.qp_assembly import FRICTION_SHARE
+from ampc_ros.preview.nominal_steering import FRICTION_SHARE
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of

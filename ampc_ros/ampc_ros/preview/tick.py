@@ -31,7 +31,8 @@ from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
 from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickResult, diagnose
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
-from ampc_ros.preview.qp_assembly import BEHIND, Past, Road, preview_plan
+from ampc_ros.preview.nominal_steering import Road
+from ampc_ros.preview.qp_assembly import Past, preview_plan
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -232,7 +233,7 @@ def preview_tick(
     if steers:
         # Horizon along the path, QP and first move
         H = gains.prediction_horizon + model.actuator.ticks
-        road = Road(vector(scratch, H + 1), vector(scratch, H + 1), vector(scratch, BEHIND))
+        road = Road(vector(scratch, H + 1), vector(scratch, H + 1), vector(scratch, H))
         lateral, angles = vector(scratch, H), vector(scratch, H)
         sample_road(path, position.s, memory, T, road)
         past = Past(x, memory[SENT:], disturbance)
