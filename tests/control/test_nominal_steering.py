@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import daqp
@@ -49,6 +50,12 @@ def controller(car: str, max_rate: float | None = None) -> PreviewMpc:
     return PreviewMpc(chassis, steering, LIMITS, load_gain_table(default_table("preview", car)))
 
 
+@cache
+def model_of(car: str, max_rate: float | None = None) -> InternalModel:
+    """Return the internal model of a car, with another steering rate [rad/s] if one is set."""
+    return controller(car, max_rate).model
+
+
 def with_friction(model: InternalModel, mu_g: float) -> InternalModel:
     """Return a model with another friction limit [m/s^2]."""
     return model._replace(limits=model.limits._replace(mu_g=mu_g))
@@ -92,7 +99,7 @@ def any_road(seed: int, kind: str) -> Road:
 
 roads = st.builds(any_road, st.integers(0, 2**32 - 1), st.sampled_from(["hairpin", "noise"]))
 models = st.builds(
-    lambda car, rate, mu_g: with_friction(controller(car, rate).model, mu_g),
+    lambda car, rate, mu_g: with_friction(model_of(car, rate), mu_g),
     st.sampled_from(list(CARS)),
     st.sampled_from([0.05, 0.25, 0.7, 3.0]),
     st.sampled_from([1.0, 3.0, 9.0]),
@@ -148,7 +155,7 @@ def test_mirrored_roads_have_mirrored_angles(road: Road, model: InternalModel, u
 @many
 @given(seed=st.integers(0, 2**32 - 1), u=st.floats(-0.02, 0.02), car=st.sampled_from(list(CARS)))
 def test_demand_below_the_share_is_followed_bit_for_bit(seed: int, u: float, car: str) -> None:
-    road, model = any_road(seed, "smooth"), controller(car).model
+    road, model = any_road(seed, "smooth"), model_of(car)
     vehicle, T = model.vehicle, model.limits.T
     expected, offset = [], u - road_angle(vehicle, road, 0, T)
     for i in range(1, len(road.speed)):
@@ -190,11 +197,11 @@ def test_angles_whose_increments_are_small_enough_are_not_changed() -> None:
 @pytest.mark.parametrize("u", [-0.3, 0.0, 0.3])
 def test_standing_car_on_a_straight_holds_its_angle(u: float) -> None:
     road = road_of(np.zeros(41), np.zeros(21))
-    np.testing.assert_array_equal(nominal_of(controller("paper").model, road, u).angles, u)
+    np.testing.assert_array_equal(nominal_of(model_of("paper"), road, u).angles, u)
 
 
 def test_on_low_friction_the_angle_returns_to_the_bound_at_the_share() -> None:
-    model = with_friction(controller("ordinary", 0.3).model, 2.0)
+    model = with_friction(model_of("ordinary", 0.3), 2.0)
     angles, bounds = nominal_of(model, road_of(np.zeros(41), np.full(21, 20.0)), 0.2)
     step = NOMINAL_SHARE * model.limits.Delta_u_max
     expected = np.maximum(0.2 - step * np.arange(1, 21), bounds)

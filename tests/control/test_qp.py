@@ -22,9 +22,9 @@ from tests.filled import (
     laguerre_sequence,
     running_sum,
 )
-from tests.workshop.proofs.prove_qp import KINDS as DEGENERATE_KINDS
 from tests.workshop.proofs.prove_qp import main as prove_qp
 from tests.workshop.proofs.prove_qp import verdicts
+from tests.workshop.proofs.qp_problems import KINDS as DEGENERATE_KINDS
 
 TWO_SIDED = ("two sides", "equal bounds", "shared slack")
 KINDS = ("plain", "tight", "degenerate", "whole numbers", *TWO_SIDED, "badly scaled")
