@@ -22,23 +22,33 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-VENV = ROOT / ".venv"
+WORKSPACE = Path(__file__).resolve().parents[1]
+VENV = WORKSPACE / ".venv"
 PYTHON = VENV / "bin" / "python"
-LOCKS = ROOT / "lock"
-LOG = ROOT / "log" / "bootstrap.log"
-PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
-SOURCES = (ROOT, *(ROOT / package for package in PACKAGES[:-1]))
+LOCKS = WORKSPACE / "lock"
+LOG = WORKSPACE / "log" / "bootstrap.log"
+COLCON_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
+SOURCES = (WORKSPACE, *(WORKSPACE / package for package in COLCON_PACKAGES[:-1]))
 
-NO_NETWORK = re.compile(
+PIP_FAILURES = {
     r"Failed to establish a new connection|Temporary failure in name resolution|ProxyError"
-    r"|Name or service not known|Network is unreachable|Connection refused|timed out|SSLError"
-)
-NO_COMPILER = re.compile(
+    r"|Name or service not known|Network is unreachable|Connection refused|timed out|SSLError": (
+        "the package index cannot be reached: check network and proxy, then run this again"
+    ),
     r"command '\S+' failed: No such file|unable to execute '\S+'|Unknown compiler"
-    r"|No such file or directory: '(?:gcc|cc|g\+\+|c\+\+)'"
-)
-NO_WHEEL = re.compile(r"No matching distribution found for ([\w.\[\]-]+)")
+    r"|No such file or directory: '(?:gcc|cc|g\+\+|c\+\+)'": (
+        "a package must be compiled but there is no compiler: apt install build-essential"
+    ),
+    r"DO NOT MATCH THE HASHES": (
+        "the hash of a package differs from the lock file (lock/): do not use that index"
+    ),
+    r"No space left on device": "the disk is full: .venv needs about 1 GB",
+    r"No matching distribution found for ([\w.\[\]-]+)": (
+        "there is no wheel of {wheel} for Python {version} on {machine}: "
+        "use Python 3.10 to 3.14 on x86-64 (make PYTHON=python3.12)"
+    ),
+}
+"""Cause and remedy by regular expression for the output of pip; the first match counts."""
 
 
 class SetupError(Exception):
@@ -48,14 +58,8 @@ class SetupError(Exception):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Set up the workspace and return the exit code."""
     parser = argparse.ArgumentParser(description="Set up .venv and build the colcon workspace.")
-    parser.add_argument(
-        "--dev", action="store_true", help="also install the tools for tests and lint"
-    )
-    parser.add_argument(
-        "--bench",
-        action="store_true",
-        help="also install the solvers and controllers of the benchmark",
-    )
+    parser.add_argument("--dev", action="store_true", help="also install tools for tests and lint")
+    parser.add_argument("--bench", action="store_true", help="also install the benchmark's solvers")
     chosen = parser.parse_args(arguments)
     try:
         bootstrap(dev=chosen.dev, bench=chosen.bench)
@@ -76,24 +80,25 @@ def bootstrap(*, dev: bool, bench: bool = False) -> None:
     with_ros = uses_installed_ros(os.environ.get("ROS_DISTRO", ""))
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("", encoding="utf-8")
-    home = f"{ROOT}, Python {platform.python_version()}, installed ROS: {with_ros}"
+    home = f"{WORKSPACE}, Python {platform.python_version()}, installed ROS: {with_ros}"
     # .venv for this folder, Python and kind of ROS
     if done_steps(VENV) != {home}:
         create_venv(with_ros)
         mark(VENV, {home})
     # requirements, by name and content of the lock files
-    requirements = requirement_files(with_ros=with_ros, dev=dev, bench=bench)
+    needed = {"": True, "-ros": not with_ros, "-dev": dev, "-bench": bench}
+    requirements = [LOCKS / f"requirements{name}.txt" for name in needed if needed[name]]
     wanted = {f"{file.name} {digest([file])}" for file in requirements}
     installed = done_steps(VENV / "lib")
     if not wanted <= installed:
         install(requirements)
         mark(VENV / "lib", installed | wanted)
     # colcon build and compiled code, by content of the sources
-    sources = digest(file for package in PACKAGES for file in source_files(ROOT / package))
-    if done_steps(ROOT / "install") != {sources}:
-        build()
-        compile_code()
-        mark(ROOT / "install", {sources})
+    files = (file for name in COLCON_PACKAGES for file in sorted((WORKSPACE / name).rglob("*")))
+    sources = digest(file for file in files if file.is_file() and "__pycache__" not in file.parts)
+    if done_steps(WORKSPACE / "install") != {sources}:
+        build_workspace()
+        mark(WORKSPACE / "install", {sources})
 
 
 def uses_installed_ros(distribution: str) -> bool:
@@ -126,28 +131,11 @@ def require_wheels(system: str, machine: str) -> None:
         )
 
 
-def requirement_files(*, with_ros: bool, dev: bool, bench: bool) -> list[Path]:
-    """Return the lock files to install."""
-    needed = {
-        "requirements.txt": True,
-        "requirements-ros.txt": not with_ros,
-        "requirements-dev.txt": dev,
-        "requirements-bench.txt": bench,
-    }
-    return [LOCKS / name for name in needed if needed[name]]
-
-
-def source_files(package: Path) -> list[Path]:
-    """Return all files of a package without the caches of Python and numba."""
-    files = sorted(file for file in package.rglob("*") if file.is_file())
-    return [file for file in files if "__pycache__" not in file.parts]
-
-
 def digest(files: Iterable[Path]) -> str:
     """Return one hash over names and contents of files."""
     total = hashlib.sha256()
     for file in files:
-        total.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes() + b"\0")
+        total.update(f"{file.relative_to(WORKSPACE)}\0".encode() + file.read_bytes() + b"\0")
     return total.hexdigest()
 
 
@@ -168,7 +156,7 @@ def create_venv(with_ros: bool) -> None:
     if not (importlib.util.find_spec("venv") and importlib.util.find_spec("ensurepip")):
         raise SetupError("Python's venv module is missing: apt install python3-venv")
     for built in ("build", "install"):  # they contain the path of the previous interpreter
-        shutil.rmtree(ROOT / built, ignore_errors=True)
+        shutil.rmtree(WORKSPACE / built, ignore_errors=True)
     command = [sys.executable, "-m", "venv", "--clear", str(VENV)]
     command += ["--system-site-packages"] if with_ros else []
     output, failed = run(f"creating .venv with Python {platform.python_version()}", command)
@@ -191,44 +179,24 @@ def install(requirements: Sequence[Path]) -> None:
 
 
 def explain_pip(output: str, version: str, machine: str) -> str:
-    """Return cause and remedy of a failure of pip in one sentence.
-
-    Args:
-        output: Output of pip.
-        version: Python version.
-        machine: Result of `platform.machine()`.
-    """
-    if NO_NETWORK.search(output):
-        return "the package index cannot be reached: check network and proxy, then run this again"
-    if NO_COMPILER.search(output):
-        return "a package must be compiled but there is no compiler: apt install build-essential"
-    if "DO NOT MATCH THE HASHES" in output:
-        return "the hash of a package differs from the lock file (lock/): do not use that index"
-    if "No space left on device" in output:
-        return "the disk is full: .venv needs about 1 GB"
-    if wheel := NO_WHEEL.search(output):
-        return (
-            f"there is no wheel of {wheel[1]} for Python {version} on {machine}: "
-            "use Python 3.10 to 3.14 on x86-64 (make PYTHON=python3.12)"
-        )
-    return f"pip failed: {last_line(output)} ({LOG.relative_to(ROOT)})"
+    """Return cause and remedy of a failure of pip with a Python version, in one sentence."""
+    for pattern, cause in PIP_FAILURES.items():
+        if match := re.search(pattern, output):
+            return cause.format(wheel=(*match.groups(), "")[0], version=version, machine=machine)
+    return f"pip failed: {last_line(output)} ({LOG.relative_to(WORKSPACE)})"
 
 
-def build() -> None:
-    """Build the colcon workspace with the Python of ``.venv``."""
+def build_workspace() -> None:
+    """Build the colcon workspace, and compile, so that the first drive does not wait for it."""
     output, failed = run("building the workspace", [str(PYTHON), "-m", "colcon", "build"])
     if failed:
         cause = re.search(r"^\w*Error: .*", output, re.MULTILINE)
         line = cause[0] if cause else last_line(output)
-        raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(ROOT)})")
-
-
-def compile_code() -> None:
-    """Compile the numba functions, so that the first drive does not wait for them."""
+        raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(WORKSPACE)})")
     command = [str(PYTHON), "-m", "launch_scripts.compile_all"]
     output, failed = run("compiling control tick and simulated car", command)
     if failed:
-        raise SetupError(f"compiling failed: {last_line(output)} ({LOG.relative_to(ROOT)})")
+        raise SetupError(f"compiling failed: {last_line(output)} ({LOG.relative_to(WORKSPACE)})")
 
 
 def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
@@ -242,7 +210,7 @@ def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
     with LOG.open("a+", encoding="utf-8", errors="replace") as log:
         begin = log.seek(0, os.SEEK_END)
         code = subprocess.call(
-            command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+            command, cwd=WORKSPACE, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
         )
         print(f" {time.monotonic() - start:.0f} s", flush=True)
         log.seek(begin)

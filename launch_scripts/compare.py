@@ -10,34 +10,39 @@ invalid.
 import argparse
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from ampc_msgs_config.config import find, load, shipped
-from ampc_msgs_config.parameters import ControllerSettings, SteeringParameters
+from ampc_msgs_config.config import find, shipped
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.validation import check_range, number
-from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, default_table
+from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, check_controller, default_table
 from launch_scripts.comparing.cells import (
     QUANTITIES,
-    Cell,
     Conditions,
     Contender,
     build_simulation,
     controller_of,
     drive_cell,
 )
-from launch_scripts.comparing.results import Comparison, terminal_table, write_comparison
-from launch_scripts.report import add_format_option
-from launch_scripts.run.options import controller_label, create_folder, resolve_controller
-from sim_vehicle.car import RANGES
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from launch_scripts.comparing.results import Comparison, comparison_table, write_comparison
+from launch_scripts.reporting.pages import add_format_option
+from launch_scripts.run.options import (
+    add_speed_options,
+    check_files,
+    controller_label,
+    create_folder,
+    naming,
+)
+from sim_vehicle.car import CAR_RANGES
+from sim_vehicle.parameters import load_vehicle
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
 """Roads of the paper and those derived from them, which are driven first."""
@@ -45,13 +50,7 @@ TABLE_WIDTH = 120
 """Smallest width of the printed table [characters]."""
 WRONG = 2
 """Exit code for an invalid option."""
-SEEDS = number(0, 2**31 - 1)
-LAPS = number(1, 1000)
-
-
-def roads() -> list[str]:
-    """Return the names of the shipped scenarios, those of the paper first."""
-    return [*PAPERS, *(name for name in shipped("scenarios") if name not in PAPERS)]
+BOUNDS = {"laps": number(1, 1000), "seed": number(0, 2**31 - 1), "friction": CAR_RANGES["friction"]}
 
 
 def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -59,41 +58,60 @@ def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add = parser.add_argument
-    names = f"{', '.join(CONTROLLERS)}, each also as NAME=GAINS, or FILE.py:CLASS; default: all"
-    add("--controllers", nargs="+", metavar="NAME[=GAINS]", default=list(CONTROLLERS), help=names)
-    names = f"{', '.join(roads())}, YAML or CSV files; default: all of these"
-    add("--scenarios", nargs="+", metavar="ROAD", default=roads(), help=names)
-    text = "constant speed on all roads [m/s]; -1: that of the road"
-    add("--speed", type=float, default=-1.0, help=text)
-    text = "largest lateral acceleration on CSV files [m/s^2]; -1: their own speed"
-    add("--lateral-acceleration", type=float, default=-1.0, help=text)
-    add("--laps", type=int, default=1, help="number of laps on closed paths of CSV files")
-    default = Conditions()
-    add("--vehicle", default=default.vehicle, help="the car; default: %(default)s")
-    text = "settings of all controllers; default: %(default)s"
-    add("--settings", default=default.settings, help=text)
+    roads = [*PAPERS, *(name for name in shipped("scenarios") if name not in PAPERS)]
+    default = Conditions()._asdict()
+
+    def add(name: str, text: str, **how: Any) -> None:
+        value = how.setdefault("default", default.get(name))
+        shown = "; default: %(default)s" if value and not isinstance(value, list) else ""
+        parser.add_argument(f"--{name}", help=text + shown, **how)
+
+    text = f"{', '.join(CONTROLLERS)}, each also as NAME=GAINS, or FILE.py:CLASS; default: all"
+    add("controllers", text, nargs="+", metavar="NAME[=GAINS]", default=list(CONTROLLERS))
+    text = f"{', '.join(roads)}, YAML or CSV files; default: all of these"
+    add("scenarios", text, nargs="+", metavar="ROAD", default=roads)
+    add_speed_options(parser)
+    add("vehicle", "the car")
+    add("settings", "settings of all controllers")
     text = "friction of the road, unknown to the controllers; default: that of the tyres"
-    add("--friction", type=float, default=default.friction, help=text)
+    add("friction", text, type=float)
     text = "additional steering delay, unknown to the controllers [s]; default: 0"
-    add("--delay", type=float, default=default.delay, help=text)
-    add("--noise", default=default.noise, help="measurement noise, such as x1; default: none")
-    text = "seed of the noise, equal in all cells; default: 0"
-    add("--seed", type=int, default=default.seed, help=text)
-    text = "metric of table and heat map; the page shows all; default: %(default)s"
-    add("--quantity", choices=QUANTITIES, default="rms", help=text)
-    add("--output", type=Path, default=Path("runs/compare"), help="folder; default: %(default)s")
+    add("delay", text, type=float)
+    add("noise", "measurement noise, such as x1; default: none")
+    add("seed", "seed of the noise, equal in all cells; default: 0", type=int)
+    text = "metric of table and heat map; the page shows all"
+    add("quantity", text, choices=QUANTITIES, default="rms")
+    add("output", "folder", type=Path, default=Path("runs/compare"))
     add_format_option(parser, "table, figures, or figures on the pages of one file")
     return parser.parse_args(arguments)
 
 
-@contextmanager
-def naming(option: str) -> Iterator[None]:
-    """Prefix the message of a ValueError with the invalid option."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Drive all cells, print and write the result, and return the exit code."""
+    options, console = read_compare_options(arguments), Console(highlight=False, soft_wrap=True)
+    words = shlex.join(sys.argv[1:] if arguments is None else arguments)
     try:
-        yield
+        conditions = conditions_of(options)
+        contenders = contenders_of(options.controllers, conditions)
+        scenarios = scenarios_of(options, conditions)
+        with naming("output"):
+            create_folder(options.output, exist_ok=True)
     except ValueError as error:
-        raise ValueError(f"--{option}: {error}") from error
+        console.print(Text.assemble(("error:", "red"), f" {error}"))
+        return WRONG
+    # One after the other, so that solve times stay comparable.
+    pairs = [(contender, scenario) for scenario in scenarios for contender in contenders]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=console) as bar:
+        cells = [drive_cell(*pair, conditions) for pair in bar.track(pairs, description="drives")]
+    command = f"python launch_scripts/compare.py {words}".strip()
+    comparison = Comparison(command, conditions, contenders, scenarios, cells)
+    key = QUANTITIES[options.quantity]
+    console.width = max(console.width, TABLE_WIDTH)
+    console.print(comparison_table(comparison, key))
+    files = write_comparison(comparison, key, options.output, options.format)
+    console.print(f"{', '.join(files)}: {options.output}", markup=False)
+    return 0
 
 
 def conditions_of(options: argparse.Namespace) -> Conditions:
@@ -102,18 +120,12 @@ def conditions_of(options: argparse.Namespace) -> Conditions:
     Raises:
         ValueError: Names option, value and bound.
     """
-    with naming("vehicle"):
-        load_vehicle(find("vehicles", options.vehicle))
-    with naming("settings"):
-        load(ControllerSettings, find("controllers", options.settings))
-    if options.noise:
-        with naming("noise"):
-            load(MeasurementNoise, find("noise", options.noise))
-    if options.friction is not None:
-        check_range("--friction", options.friction, RANGES["friction"])
+    check_files(options)
     with naming("delay"):
         SteeringParameters(max_angle=1.0, delay=options.delay)
-    check_range("--seed", options.seed, SEEDS)
+    for name, bounds in BOUNDS.items():
+        if getattr(options, name) is not None:
+            check_range(f"--{name}", getattr(options, name), bounds)
     return Conditions(*(getattr(options, field) for field in Conditions._fields))
 
 
@@ -126,9 +138,8 @@ def contenders_of(texts: Sequence[str], conditions: Conditions) -> list[Contende
     contenders = []
     for text in texts:
         with naming(f"controllers {text}"):
-            contender = read_contender(text, conditions.vehicle)
-            controller_of(contender, conditions)
-        contenders.append(contender)
+            contenders.append(read_contender(text, conditions.vehicle))
+            controller_of(contenders[-1], conditions)
     check_unique("controllers", [contender.label for contender in contenders])
     return contenders
 
@@ -136,7 +147,7 @@ def contenders_of(texts: Sequence[str], conditions: Conditions) -> list[Contende
 def read_contender(text: str, vehicle: str) -> Contender:
     """Return one contender; its label is the entry without folders and suffixes of files."""
     name, equals, gains = text.partition("=")
-    label, controller = controller_label(name), resolve_controller(name)
+    label, controller = controller_label(name), check_controller(name)
     if not equals:
         table = default_table(name, vehicle) if name in DEFAULT_TABLES else ""
         return Contender(label, controller, table)
@@ -151,7 +162,6 @@ def scenarios_of(options: argparse.Namespace, conditions: Conditions) -> list[Sc
     Raises:
         ValueError: Names the invalid or repeated entry.
     """
-    check_range("--laps", options.laps, LAPS)
     size, scenarios = load_vehicle(find("vehicles", conditions.vehicle)).size, []
     for text in options.scenarios:
         scenario, path = ("", text) if text.endswith(".csv") else (text, "")
@@ -168,43 +178,6 @@ def check_unique(option: str, labels: Sequence[str]) -> None:
     for i, label in enumerate(labels):
         if label in labels[:i]:
             raise ValueError(f"--{option}: {label!r} occurs twice; rename one of the files")
-
-
-def drive_cells(
-    contenders: Sequence[Contender],
-    scenarios: Sequence[Scenario],
-    conditions: Conditions,
-    console: Console,
-) -> list[Cell]:
-    """Drive all cells, one after the other, so that their solve times stay comparable."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    pairs = [(contender, scenario) for scenario in scenarios for contender in contenders]
-    with Progress(*columns, TimeElapsedColumn(), console=console) as bar:
-        return [drive_cell(*pair, conditions) for pair in bar.track(pairs, description="drives")]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive all cells, print and write the result, and return the exit code."""
-    options, console = read_compare_options(arguments), Console(highlight=False, soft_wrap=True)
-    words = shlex.join(sys.argv[1:] if arguments is None else arguments)
-    try:
-        conditions = conditions_of(options)
-        contenders = contenders_of(options.controllers, conditions)
-        scenarios = scenarios_of(options, conditions)
-        with naming("output"):
-            create_folder(options.output, exist_ok=True)
-    except ValueError as error:
-        console.print(Text.assemble(("error:", "red"), f" {error}"))
-        return WRONG
-    cells = drive_cells(contenders, scenarios, conditions, console)
-    command = f"python launch_scripts/compare.py {words}".strip()
-    comparison = Comparison(command, conditions, contenders, scenarios, cells)
-    key = QUANTITIES[options.quantity]
-    console.width = max(console.width, TABLE_WIDTH)
-    console.print(terminal_table(comparison, key))
-    files = write_comparison(comparison, key, options.output, options.format)
-    console.print(f"{', '.join(files)}: {options.output}", markup=False)
-    return 0
 
 
 if __name__ == "__main__":

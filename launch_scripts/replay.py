@@ -30,7 +30,6 @@ from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
 from launch_scripts.replaying.recorded_run import RecordedRun, RecordedTick, read_run
 from launch_scripts.replaying.repetition import (
-    ConfigChange,
     Difference,
     differences,
     replay_ticks,
@@ -41,7 +40,7 @@ from launch_scripts.replaying.repetition import (
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 
-WRONG_SET_UP = 2
+WRONG_INPUT = 2
 
 
 def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -66,13 +65,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Replay, compare, print; return the exit code."""
     options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
     try:
-        changes, begin = changes_of(options), time.perf_counter()
+        changes = [with_controller(options.controller)] if options.controller else []
+        changes += [with_gains(options.gain_table)] if options.gain_table else []
+        changes += [with_value(text) for text in options.set]
+        begin = time.perf_counter()
         run = read_run(options.bag, options.namespace)
         reading = time.perf_counter() - begin
-        configs = configurations_of(run, options.vehicle)
+        configs, notes = run.config, run.notes
+        if not configs:
+            notes.append("no controller/configuration: the default of --vehicle is used")
+            choices = Choices(vehicle=options.vehicle, static_path=True, simulated_time=True)
+            configs = {1: configuration(choices)}
+        if run.version not in ("", __version__):
+            notes.append(f"recorded by version {run.version}, this is {__version__}")
+        if (first := run.ticks[0].values.get("commands", 1.0)) > 1:
+            notes.append(f"begins at tick {first:.0f}: the controller's state then is unknown")
         for change in changes:
             configs = {number: change(each) for number, each in configs.items()}
-        print_notes(run, console)
+        for note in notes:
+            console.print(f"note: {note}", markup=False)
         if options.close_loop:
             return close_loop(run, configs[min(configs)], console)
         for config in configs.values():
@@ -86,33 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0 if changes else code
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
-        return WRONG_SET_UP
-
-
-def changes_of(options: argparse.Namespace) -> list[ConfigChange]:
-    """Return the changes in the order of their application."""
-    changes = [with_controller(options.controller)] if options.controller else []
-    changes += [with_gains(options.gain_table)] if options.gain_table else []
-    return changes + [with_value(text) for text in options.set]
-
-
-def configurations_of(run: RecordedRun, vehicle: str) -> dict[int, Configuration]:
-    """Return the recorded configurations; without any, the default one of a vehicle."""
-    if run.config:
-        return run.config
-    run.notes.append("no controller/configuration: the default of --vehicle is used")
-    return {1: configuration(Choices(vehicle=vehicle, static_path=True, simulated_time=True))}
-
-
-def print_notes(run: RecordedRun, console: Console) -> None:
-    """Print the missing contents of a bag."""
-    if run.version not in ("", __version__):
-        run.notes.append(f"recorded by version {run.version}, this is {__version__}")
-    first = run.ticks[0].values.get("commands", 1.0)
-    if first > 1:
-        run.notes.append(f"begins at tick {first:.0f}: the controller's state then is unknown")
-    for note in run.notes:
-        console.print(f"note: {note}", markup=False)
+        return WRONG_INPUT
 
 
 def compare_ticks(
@@ -180,10 +165,13 @@ def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int
     simulation = simulation_of(run.simulator, f"{run.bag}: simulator/configuration")
     start_ns = run.ticks[0].state.stamp_ns
     closed = drive(simulation, Supervisor(config._replace(static_path=True)), start_ns)
+    steering = np.array([tick.values["steering"] for tick in run.ticks])
+    solve_time = np.array([tick.values.get("solve_time", np.nan) for tick in run.ticks])
+    recorded = Drive([tick.state for tick in run.ticks], steering, solve_time)
     path = make_path(run.ticks[-1].path.points)
     before, after = (
         evaluate(each, path, config.base_link_to_cg, config.settings.sample_time)
-        for each in (recorded_drive(run), closed)
+        for each in (recorded, closed)
     )
     table = Table("quantity", "recorded", "closed loop", "unit", title="closed loop in simulation")
     for key in RESULT:
@@ -192,13 +180,6 @@ def close_loop(run: RecordedRun, config: Configuration, console: Console) -> int
             table.add_row(METRICS[key].title, *values, METRICS[key].unit)
     console.print(table)
     return 0
-
-
-def recorded_drive(run: RecordedRun) -> Drive:
-    """Return the recorded drive."""
-    steering = np.array([tick.values["steering"] for tick in run.ticks])
-    solve_time = np.array([tick.values.get("solve_time", np.nan) for tick in run.ticks])
-    return Drive([tick.state for tick in run.ticks], steering, solve_time)
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
+from launch_scripts.reporting.pages import to_json
 from launch_scripts.reporting.style import save_png, svg
-from launch_scripts.run.json_values import to_json
 from launch_scripts.run.machine import cpu_model
 from launch_scripts.study.claims import conclusions
 from launch_scripts.study.drives import STUDY_SWITCHES, Switches
@@ -33,7 +33,7 @@ from launch_scripts.study.page import study_page
 
 PICTURES = ("sc2", "sweep", "sphere")
 """Figures of the documentation."""
-READINGS = ("paper", "authors_code")
+SOURCES = ("paper", "authors_code")
 
 
 def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -44,9 +44,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--output", type=Path, default=Path("runs/reproduce"), help="folder to write"
     )
-    parser.add_argument(
-        "--reading", choices=READINGS, default="paper", help="source of all choices"
-    )
+    parser.add_argument("--reading", choices=SOURCES, default="paper", help="source of all choices")
     parser.add_argument(
         "--switch",
         action="append",
@@ -87,8 +85,8 @@ def read_switches(reading: str, assignments: Sequence[str]) -> Switches:
             raise ValueError(
                 f"--switch {item}: {name!r} must be one of {', '.join(STUDY_SWITCHES)}"
             )
-        if choice not in READINGS:
-            raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(READINGS)}")
+        if choice not in SOURCES:
+            raise ValueError(f"--switch {item}: {choice!r} must be one of {', '.join(SOURCES)}")
         (names.add if choice == "authors_code" else names.discard)(name)
     return frozenset(names)
 

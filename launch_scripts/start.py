@@ -19,15 +19,14 @@ from rich.text import Text
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
-from ampc_msgs_config.recording.message_types import TYPES
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.run.environment import ros_environment
 from launch_scripts.run.options import Run, prepare_run, read_run_options
-from launch_scripts.run.processes import Processes
+from launch_scripts.run.processes import Processes, ros_environment
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
-FAULTY = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
+FAULTED = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """Topics that the controller receives from the injector during fault injection."""
 GRACE_AFTER_NODE_DEATH = 1.5
 """Wall time during which the other nodes continue without a dead node, in real time [s]."""
@@ -56,12 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run = prepare_run(options)
         return finish(run, drive_run(run, console), console)
-    except ValueError as error:
+    except (ValueError, RunEnded) as error:
         print_error(console, error)
-        return WRONG_SET_UP
-    except RunEnded as ended:
-        print_error(console, ended)
-        return ended.code
+        return error.code if isinstance(error, RunEnded) else WRONG_SET_UP
 
 
 def interrupt(number: int, _: Any) -> NoReturn:
@@ -101,9 +97,9 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
-    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTY} if options["faults"] else {}
+    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTED} if options["faults"] else {}
     if options["faults"]:
-        record["topics"] = [f"{new}:{TYPES[topic]}" for topic, new in renamed.items()]
+        record["topics"] = [f"{new}:{TOPIC_TYPES[topic]}" for topic, new in renamed.items()]
     # Nodes
     nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record)
     nodes.start("planner", "ampc_ros.nodes.planner_node", common | route)
@@ -135,11 +131,10 @@ def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
 
 def print_compilation(nodes: Processes, console: Console, printed: set[str]) -> None:
     """Print the log lines of the nodes about compilation that are not in `printed` yet."""
-    for name in nodes.running:
-        for line in nodes.lines(name):
-            if line.startswith(("compiling", "compiled")) and line not in printed:
-                printed.add(line)
-                console.print(line, markup=False)
+    for line in (line for name in nodes.running for line in nodes.lines(name)):
+        if line.startswith(("compiling", "compiled")) and line not in printed:
+            printed.add(line)
+            console.print(line, markup=False)
 
 
 def is_over(nodes: Processes) -> bool:
@@ -193,9 +188,8 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
         if not is_complete:
             recovered = default_output(run.bag)
             recover(run.bag, recovered)
-            console.print(
-                f"the bag was not closed; complete except for its end: {recovered}", markup=False
-            )
+            text = f"the bag was not closed; complete except for its end: {recovered}"
+            console.print(text, markup=False)
     except ValueError as error:
         if ended.code == WRONG_SET_UP:
             shutil.rmtree(run.folder)

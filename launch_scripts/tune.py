@@ -20,24 +20,9 @@ from rich.text import Text
 from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.pso.swarm import Swarm
 from launch_scripts.tuning.fitness import FITNESS
-from launch_scripts.tuning.report import (
-    TuningReport,
-    prove,
-    provenance,
-    report_to_json,
-    screen_table,
-    table_yaml,
-)
+from launch_scripts.tuning.report import TuningReport, prove, provenance, table_yaml
 from launch_scripts.tuning.search import Checkpoints, run_searches, write_atomically
-from launch_scripts.tuning.task import (
-    PRESETS,
-    SYMBOLS,
-    Search,
-    TuningTask,
-    describe_task,
-    read_task,
-    searches_of,
-)
+from launch_scripts.tuning.task import PRESETS, SYMBOLS, Search, TuningTask, read_task
 from launch_scripts.tuning.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
@@ -87,12 +72,8 @@ def search_and_prove(
     task: TuningTask, workers: Workers, checkpoints: Checkpoints, console: Console
 ) -> TuningReport:
     """Run all searches with a progress bar, and compare their results."""
-
-    def work(search: Search) -> int:
-        return search.settings.particles * len(search.nodes)
-
-    searches = searches_of(task)
-    total = sum(work(search) * (search.settings.generations + 1) for search in searches)
+    searches = task.searches()
+    total = sum(search.drives * (search.settings.generations + 1) for search in searches)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"))
     clocks = TimeElapsedColumn(), TimeRemainingColumn(elapsed_when_finished=True)
     with Progress(*columns, *clocks, console=console) as bar:
@@ -105,7 +86,7 @@ def search_and_prove(
             with lock:
                 new = swarm.generation + 1 - shown.get(search.name, 0)
                 shown[search.name] = swarm.generation + 1
-            bar.update(line, advance=new * work(search), description=search.name, best=best)
+            bar.update(line, advance=new * search.drives, description=search.name, best=best)
 
         results = run_searches(searches, workers, checkpoints, show)
         bar.update(line, description="proof", best="")
@@ -120,22 +101,21 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     """
     if chosen.workers < 1:
         raise ValueError(f"--workers {chosen.workers}: must be at least 1")
-    task, command = read_task(chosen), command_of(chosen)
+    task = read_task(chosen)
     name = f"{Path(task.vehicle).stem}_{task.formulation}_{task.kind}.yaml"
     output = chosen.output or Path("runs/tune") / name
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
     with open_workers(*options) as workers:
-        checkpoints.begin(describe_task(task), chosen.resume)
+        checkpoints.begin(task.describe(), chosen.resume)
         report = search_and_prove(task, workers, checkpoints, console)
-    console.print(screen_table(report))
+    console.print(report.screen_table())
     console.print(report.verdict)
-    proof = report_to_json(report) | {"task": provenance(task, report, command)}
+    origin = provenance(task, report, command_of(chosen))
+    proof = json.dumps(report.to_json() | {"task": origin}, indent=1, allow_nan=False)
     first = schema_line(shipped_schema("gains"), output)
-    write_atomically(output, f"{first}\n{table_yaml(task, report, command)}")
-    write_atomically(
-        output.with_suffix(".json"), json.dumps(proof, indent=1, allow_nan=False) + "\n"
-    )
+    write_atomically(output, f"{first}\n{table_yaml(task, report, origin)}")
+    write_atomically(output.with_suffix(".json"), f"{proof}\n")
     checkpoints.clear()
     console.print(f"written: {output} and the proof {output.stem}.json", markup=False)
 

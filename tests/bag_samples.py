@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED, plain_qos
+from ampc_msgs_config.nodes.recorder_node import CONTRACT, LATCHED_TOPICS, plain_qos
 from ampc_msgs_config.recording import bag_writer as recording
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import message_class, type_name_of
@@ -111,7 +111,7 @@ def write_bag(folder: Path, ticks: int) -> tuple[list[Entry], list[bytes]]:
     entries, data = [], []
     with patch.object(recording, "FLUSH_PERIOD", math.inf), Recording(folder) as bag:
         for name, message_type in CONTRACT.items():
-            qos = ros.LATCHED if name in LATCHED else ros.RELIABLE
+            qos = ros.LATCHED if name in LATCHED_TOPICS else ros.RELIABLE
             bag.add_topic(full(name), type_name_of(message_type), [plain_qos(qos)])
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
             for name in CONTRACT:

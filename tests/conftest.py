@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 from domain_coordinator import domain_id
 
-from launch_scripts.run.environment import ros_environment
+from launch_scripts.run.processes import ros_environment
 from tests.markers import markers_of
 
 DOMAINS = 100

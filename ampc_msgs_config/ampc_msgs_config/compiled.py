@@ -20,10 +20,10 @@ import numba
 from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., Any])
-PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
+COMPILED_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
 STORED_VERSIONS = 3
 """Number of versions whose machine code is stored, including the current one."""
-IN_USE = 24 * 3600.0
+USED_WITHIN = 24 * 3600.0
 """Machine code that a process has used within this time is never removed [s]."""
 
 
@@ -35,7 +35,7 @@ def source_hash() -> str:
         so the folder of the cache carries this digest in its name.
     """
     digest = hashlib.sha256()
-    for package in PACKAGES:
+    for package in COMPILED_PACKAGES:
         spec = importlib.util.find_spec(package)
         for folder in (spec.submodule_search_locations or ()) if spec else ():
             for file in sorted(Path(folder).rglob("*.py")):
@@ -78,12 +78,12 @@ def open_version(base: Path, version: str) -> Path:
 
 def remove_old_versions(base: Path) -> None:
     """Remove all versions but the ones used last and those used within a day."""
-    used: list[tuple[float, Path]] = []
+    used = []
     for folder in base.iterdir():
         with suppress(OSError):  # another process may remove it at the same time
             used.append((folder.stat().st_mtime, folder))
     for last_use, folder in sorted(used, reverse=True)[STORED_VERSIONS:]:
-        if time.time() - last_use > IN_USE:
+        if time.time() - last_use > USED_WITHIN:
             shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -16,20 +16,16 @@ from collections.abc import Mapping
 from dataclasses import MISSING
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, cast
 
 import msgspec
 import yaml
 
-from ampc_msgs_config.validation import (
-    convert,
-    defaults,
-    dotted,
-    hints,
-)
+from ampc_msgs_config.validation import T, convert, defaults, dotted, hints
 
-T = TypeVar("T")
-MAX_BYTES = 5_000_000
+FOLDER = Path(str(resources.files("ampc_msgs_config"))) / "config"
+"""Folder of the shipped files."""
+MAX_YAML_BYTES = 5_000_000
 """Greatest size of a YAML file [bytes]."""
 MAX_NODES = 5_000_000
 """Greatest number of values in a YAML file, where each alias counts as all that it stands for."""
@@ -69,19 +65,16 @@ class Dumper(yaml.SafeDumper):
 
 def _construct(loader: Loader, node: yaml.ScalarNode) -> bool | int | float:
     """Return the value of a boolean or number, also where the text has an explicit tag."""
-    text, kind = str(loader.construct_scalar(node)), node.tag.rpartition(":")[2]
-    if not SCALARS[kind].match(text):
-        problem = f"{text!r} is not of the type {kind}"
-        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
-    if kind == "bool":
-        return text.lower() == "true"
-    if kind == "int":
-        return int(text)
-    value = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-    if math.isinf(value) and "inf" not in text.lower():
-        problem = f"{text} is beyond the range of floating-point numbers"
-        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
-    return value
+    text, kind = str(loader.construct_scalar(node)).lower(), node.tag.rpartition(":")[2]
+    problem = f"{node.value!r} is not of the type {kind}"
+    if SCALARS[kind].match(node.value):
+        if kind != "float":
+            return text == "true" if kind == "bool" else int(text)
+        value = float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        if "inf" in text or not math.isinf(value):
+            return value
+        problem = f"{node.value} is beyond the range of floating-point numbers"
+    raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
 
 
 for kind, pattern in SCALARS.items():
@@ -94,13 +87,12 @@ for kind, pattern in SCALARS.items():
 
 def shipped(folder: str) -> dict[str, Path]:
     """Return the YAML files that come with the package, by the name that a user types."""
-    root = Path(str(resources.files("ampc_msgs_config"))) / "config" / folder
-    return {file.stem: file for file in sorted(root.glob("*.yaml"))}
+    return {file.stem: file for file in sorted((FOLDER / folder).glob("*.yaml"))}
 
 
 def shipped_schema(name: str) -> Path:
     """Return the file of a schema that comes with the package."""
-    return Path(str(resources.files("ampc_msgs_config"))) / "config" / "schemas" / f"{name}.json"
+    return FOLDER / "schemas" / f"{name}.json"
 
 
 def find(folder: str, name: str) -> Path:
@@ -110,12 +102,10 @@ def find(folder: str, name: str) -> Path:
         ValueError: There is neither; the message lists the shipped names.
     """
     known = shipped(folder)
-    if name in known:
-        return known[name]
-    if Path(name).is_file():
-        return Path(name)
-    names = ", ".join(known)
-    raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
+    if name not in known and not Path(name).is_file():
+        names = ", ".join(known)
+        raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
+    return known.get(name, Path(name))
 
 
 def read(file: Path) -> dict[str, Any]:
@@ -157,7 +147,7 @@ def dump(content: Any, **options: Any) -> str:
     return str(yaml.dump(content, Dumper=Dumper, sort_keys=False, **options))
 
 
-def read_text(file: Path, most: int = MAX_BYTES) -> str:
+def read_text(file: Path, most: int = MAX_YAML_BYTES) -> str:
     """Read a text file of at most so many bytes.
 
     Raises:
@@ -190,22 +180,20 @@ def check_nodes(node: Any, counts: dict[int, int], key: str) -> int:
             raise ValueError("an alias names what it is part of")
         return counts[id(node)]
     counts[id(node)] = 0
-    total, lines = 1, dict[str, int]()
-    parts = enumerate(node.value) if isinstance(node, yaml.CollectionNode) else ()
-    for i, part in parts:
-        if isinstance(part, tuple):
-            name, value = part
-            inner = dotted(key, str(name.value))
-            line = name.start_mark.line + 1
-            if isinstance(name, yaml.ScalarNode):
-                if name.value in lines:
-                    text = value.value if isinstance(value, yaml.ScalarNode) else "..."
-                    where = f"in line {line} repeats the key of line {lines[name.value]}"
-                    raise ValueError(f"{inner} = {text} {where}")
-                lines[name.value] = line
-            total += check_nodes(name, counts, inner) + check_nodes(value, counts, inner)
-        else:
-            total += check_nodes(part, counts, f"{key}[{i}]")
+    total, parts, lines = 1, list[tuple[str, Any]](), dict[str, int]()
+    if isinstance(node, yaml.SequenceNode):
+        parts = [(f"{key}[{i}]", part) for i, part in enumerate(node.value)]
+    elif isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            inner, line = dotted(key, str(name.value)), name.start_mark.line + 1
+            if isinstance(name, yaml.ScalarNode) and name.value in lines:
+                text = value.value if isinstance(value, yaml.ScalarNode) else "..."
+                where = f"in line {line} repeats the key of line {lines[name.value]}"
+                raise ValueError(f"{inner} = {text} {where}")
+            lines[str(name.value)] = line
+            parts += [(inner, name), (inner, value)]
+    for inner, part in parts:
+        total += check_nodes(part, counts, inner)
         if total > MAX_NODES:
             raise ValueError(f"more than {MAX_NODES} values, with aliases replaced")
     counts[id(node)] = total
@@ -225,20 +213,17 @@ def build(cls: type[T], content: Any, where: str, key: str = "") -> T:
         ValueError: Unknown, renamed or missing key, wrong type, or a value outside its range.
     """
     try:
-        built: T = convert(cls, content, key)
+        return cast(T, convert(cls, content, key))
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    return built
 
 
 def load(cls: type[T], file: Path, section: str = "") -> T:
     """Load one section of a YAML file, or the whole file, as an object of a record class."""
     content = read(file)
-    if not section:
-        return build(cls, content, str(file))
-    if section not in content:
+    if section and section not in content:
         raise ValueError(f"{file}: missing section {section!r}")
-    return build(cls, content[section], str(file), section)
+    return build(cls, content[section] if section else content, str(file), section)
 
 
 def schema_line(schema_file: Path, file: Path) -> str:

@@ -81,6 +81,8 @@ class Metric(NamedTuple):
     function: Function
     scale: float = 1.0
     """Factor from the value to the displayed number."""
+    note: str = ""
+    """Definition, where the title is not enough."""
     direction: int = LOWER
     """LOWER or NEUTRAL: which values are better."""
 
@@ -225,21 +227,11 @@ def last_rms(seconds: float) -> Function:
     return value
 
 
-def distance(record: DriveRecord) -> Value:
-    """Return the distance driven [m]."""
-    return distance_driven(record.time, record.speed) if len(record.speed) else None
-
-
-def max_lateral_acceleration(record: DriveRecord) -> Value:
-    """Return the largest product of speed and yaw rate [m/s^2]."""
-    return largest(record.speed * record.yaw_rate) if len(record.yaw_rate) else None
-
-
 def reversal_rate(record: DriveRecord) -> Value:
     """Return the reversals per second [1/s]; the duration counts as one period at least."""
     if len(record.steering) < 2:
         return None
-    return reversals(record.steering) / max(duration(record.time), record.period)
+    return reversals(record.steering) / max(float(np.ptp(record.time)), record.period)
 
 
 def time_at_limit(record: DriveRecord) -> Value:
@@ -249,151 +241,100 @@ def time_at_limit(record: DriveRecord) -> Value:
     return time_where(record.time, np.abs(record.steering) >= record.angle_bound - AT_LIMIT)
 
 
-def count_begins(_: Array, flag: Array) -> int:
-    """Return the number of times that a flag is set."""
-    return int((np.diff(flag > 0, prepend=0) > 0).sum())
-
-
-def mean_square(values: Array) -> float:
-    """Return the mean of the squares."""
-    return float(np.mean(values**2))
-
-
-def diverged(error: Array) -> float:
-    """Return 1 where the car is lost at the end of the drive, else 0."""
-    return float(not abs(error[-1]) < LOST)
-
-
-def duration(time: Array) -> float:
-    """Return the time from the first to the last tick [s]."""
-    return float(time[-1] - time[0])
-
-
-def rms_deg(angle: Array) -> float:
-    """Return the RMS of an angle (n,) [rad] in [deg]."""
-    return math.degrees(rms(angle))
-
-
-def rms_step(angle: Array) -> float:
-    """Return the RMS increment of an angle (n,) [rad]."""
-    return rms(np.diff(angle))
-
-
-def rms_increment_deg(angle: Array) -> float:
-    """Return the RMS increment of an angle (n,) [rad] in [deg]."""
-    return rms(np.degrees(np.diff(angle)))
-
-
-def largest_deg(angle: Array) -> float:
-    """Return the largest absolute value of an angle (n,) [rad] in [deg]."""
-    return float(np.degrees(largest(angle)))
-
-
-def range_deg(angle: Array) -> float:
-    """Return largest minus smallest value of an angle (n,) [rad] in [deg]."""
-    return math.degrees(np.ptp(angle))
-
-
-def time_of(name: str) -> Function:
-    """Return the metric function of the duration in which a quantity is not zero [s]."""
-    return of_tick(name, lambda time, values: time_where(time, values != 0))
-
-
 def count_of(name: str, index: int) -> Function:
     """Return the metric function of the number of ticks at which a quantity has a value."""
     return of_tick(name, lambda _, values: int((values == index).sum()))
 
 
-def count_fallback(_: Array, rung: Array) -> int:
-    """Return the number of ticks at which a fallback steered."""
-    return int((rung >= SHIFTED_PLAN).sum())
+def in_displayed_unit(metric: Metric, key: str) -> Metric:
+    """Return a metric under another key, with values in its displayed unit."""
+
+    def function(record: DriveRecord) -> Value:
+        value = metric.function(record)
+        return None if value is None else value * metric.scale
+
+    return metric._replace(key=key, function=function, scale=1.0)
 
 
-def solve_time_metrics(key: str, key_us: str, title: str, share: float) -> tuple[Metric, Metric]:
-    """Return a percentile of the solve time [s], and the same [us]."""
-    title, unit = f"Solve time, {title}", "\u00b5s"
-    in_us = of("solve_time", percentile(share, MICRO))
-    return (
-        Metric(f"solve_time_{key}", title, unit, of("solve_time", percentile(share)), MICRO),
-        Metric(f"solve_time_{key_us}_us", title, unit, in_us),
-    )
-
-
-# Title, unit and function of metrics that JSON files contain under two keys.
-RMS = "RMS cross-track error", "m", of("error", rms)
-P95 = "95th percentile of the cross-track error", "m", of("error", percentile(95.0))
-MAX = "Largest cross-track error", "m", of("error", largest)
+BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
+SOLVE_TIMES = (
+    ("median", "p50", "median", 50.0),
+    ("p99", "p99", "99th percentile", 99.0),
+    ("max", "max", "largest", 100.0),
+)
+"""Percentiles of the solve time: end of the key in SI, middle of the key in us, title, share."""
+# fmt: off
 TABLE: tuple[Metric, ...] = (
     # Drive
     Metric("ticks", "Ticks", "", of("time", len), direction=NEUTRAL),
-    Metric("missed_ticks", "Missed ticks", "", lambda r: missed_ticks(r.time, r.period)),
-    Metric("duration", "Duration", "s", of("time", duration), direction=NEUTRAL),
-    Metric("distance", "Distance", "m", distance, direction=NEUTRAL),
+    Metric("missed_ticks", "Missed ticks", "", lambda r: missed_ticks(r.time, r.period),
+           note="gaps between the stamps of commands"),
+    Metric("duration", "Duration", "s", of("time", lambda t: float(t[-1] - t[0])),
+           note="from the first to the last command", direction=NEUTRAL),
+    Metric("distance", "Distance", "m",
+           lambda r: distance_driven(r.time, r.speed) if len(r.speed) else None,
+           note="integral of the measured speed", direction=NEUTRAL),
     # Tracking error
-    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2", of("error", mean_square)),
-    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2", of("lateral", mean_square)),
-    Metric("rms_error_m", *RMS),
-    Metric("p95_error_m", *P95),
-    Metric("max_error_m", *MAX),
-    Metric("rms_cross_track_error", *RMS),
-    Metric("p95_cross_track_error", *P95),
-    Metric("max_cross_track_error", *MAX),
+    Metric("mse_m2", "MSE of the cross-track error", "m\u00b2",
+           of("error", lambda e: float(np.mean(e**2)))),
+    Metric("mse_lateral_m2", "MSE of Y - Y_ref(X)", "m\u00b2",
+           of("lateral", lambda e: float(np.mean(e**2)))),
+    Metric("rms_cross_track_error", "RMS cross-track error", "m", of("error", rms)),
+    Metric("p95_cross_track_error", "95th percentile of the cross-track error", "m",
+           of("error", percentile(95.0)), note="of the absolute value"),
+    Metric("max_cross_track_error", "Largest cross-track error", "m", of("error", largest)),
     Metric("last_3_s_rms_m", "RMS error of the last 3 s", "m", last_rms(3.0)),
     Metric("last_5_s_rms_m", "RMS error of the last 5 s", "m", last_rms(5.0)),
-    Metric("diverged", "Lost at the end", "", of("error", diverged)),
+    Metric("diverged", "Lost at the end", "", of("error", lambda e: float(not abs(e[-1]) < LOST))),
     Metric("rms_heading_error", "RMS heading error", "deg", of("heading", rms), DEG),
-    Metric("rms_heading_error_deg", "RMS heading error", "deg", of("heading", rms_deg)),
     # Car and steering
-    Metric(
-        "max_lateral_acceleration",
-        "Largest lateral acceleration",
-        "m/s\u00b2",
-        max_lateral_acceleration,
-    ),
-    Metric("steering_max_deg", "Largest steering angle", "deg", of("steering", largest_deg)),
+    Metric("max_lateral_acceleration", "Largest lateral acceleration", "m/s\u00b2",
+           lambda r: largest(r.speed * r.yaw_rate) if len(r.yaw_rate) else None,
+           note="speed times yaw rate"),
     Metric("max_steering", "Largest steering angle", "deg", of("steering", largest, 2), DEG),
-    Metric("steering_range_deg", "Range of the steering angle", "deg", of("steering", range_deg)),
-    Metric(
-        "steering_rms_increment_deg",
-        "Steering effort",
-        "deg/tick",
-        of("steering", rms_increment_deg, 2),
-    ),
-    Metric("steering_effort", "Steering effort", "deg/tick", of("steering", rms_step, 2), DEG),
-    Metric("steering_reversals", "Steering reversals", "", of("steering", reversals, 2)),
-    Metric("steering_reversal_rate", "Steering reversals per second", "1/s", reversal_rate),
-    Metric("time_at_limit", "Time at the angle bound", "s", time_at_limit),
+    Metric("steering_range_deg", "Range of the steering angle", "deg",
+           of("steering", lambda u: math.degrees(np.ptp(u)))),
+    Metric("steering_rms_increment_deg", "Steering effort", "deg/tick",
+           of("steering", lambda u: rms(np.degrees(np.diff(u))), 2)),
+    Metric("steering_effort", "Steering effort", "deg/tick",
+           of("steering", lambda u: rms(np.diff(u)), 2), DEG, "RMS increment of the command"),
+    Metric("steering_reversals", "Steering reversals", "", of("steering", reversals, 2),
+           note=BAND),
+    Metric("steering_reversal_rate", "Steering reversals per second", "1/s", reversal_rate,
+           note=BAND),
+    Metric("time_at_limit", "Time at the angle bound", "s", time_at_limit,
+           note="command within 1 mrad of the bound"),
     # Controller
-    Metric("time_constrained", "Time with active constraints", "s", time_of("active_constraints")),
-    Metric("time_clipped", "Time clipped by the guard", "s", time_of("clipped")),
-    Metric("fall_backs", "Fallback", "ticks", of_tick("rung", count_fallback)),
-    *(
-        Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", count_of("rung", k))
-        for k, name in enumerate(RUNGS)
-    ),
+    Metric("time_constrained", "Time with active constraints", "s",
+           of_tick("active_constraints", lambda t, n: time_where(t, n != 0)),
+           note="of the controller"),
+    Metric("time_clipped", "Time clipped by the guard", "s",
+           of_tick("clipped", lambda t, limit: time_where(t, limit != 0))),
+    Metric("fall_backs", "Fallback", "ticks",
+           of_tick("rung", lambda _, rung: int((rung >= SHIFTED_PLAN).sum())),
+           note="ticks below the rung 'slack'"),
+    *(Metric(f"rung_{name}", f"Rung {name.replace('_', ' ')}", "ticks", count_of("rung", k))
+      for k, name in enumerate(RUNGS)),
     Metric("unsolved_ticks", "Unsolved QPs", "ticks", count_of("converged", 0)),
-    Metric("stop_requests", "Stop requests", "", of_tick("stop_requested", count_begins)),
-    *solve_time_metrics("median", "p50", "median", 50.0),
-    *solve_time_metrics("p99", "p99", "99th percentile", 99.0),
-    *solve_time_metrics("max", "max", "largest", 100.0),
+    Metric("stop_requests", "Stop requests", "",
+           of_tick("stop_requested", lambda _, on: int((np.diff(on > 0, prepend=0) > 0).sum())),
+           note="number of times that a request begins"),
+    *(Metric(f"solve_time_{si}", f"Solve time, {title}", "\u00b5s",
+             of("solve_time", percentile(share)), MICRO) for si, _, title, share in SOLVE_TIMES),
+    *(Metric(f"solve_time_{us}_us", f"Solve time, {title}", "\u00b5s",
+             of("solve_time", percentile(share, MICRO))) for _, us, title, share in SOLVE_TIMES),
 )
-METRICS = {metric.key: metric for metric in TABLE}
-BAND = f"direction changes by more than {math.degrees(REVERSAL_BAND):g} deg of the road wheel"
-NOTES = {
-    "missed_ticks": "gaps between the stamps of commands",
-    "duration": "from the first to the last command",
-    "distance": "integral of the measured speed",
-    "p95_cross_track_error": "of the absolute value",
-    "max_lateral_acceleration": "speed times yaw rate",
-    "steering_effort": "RMS increment of the command",
-    "steering_reversals": BAND,
-    "steering_reversal_rate": BAND,
-    "time_at_limit": "command within 1 mrad of the bound",
-    "time_constrained": "of the controller",
-    "fall_backs": "ticks below the rung 'slack'",
-    "stop_requests": "number of times that a request begins",
+# fmt: on
+ALIASES = {
+    "rms_error_m": "rms_cross_track_error",
+    "p95_error_m": "p95_cross_track_error",
+    "max_error_m": "max_cross_track_error",
+    "rms_heading_error_deg": "rms_heading_error",
+    "steering_max_deg": "max_steering",
 }
-"""Definition of metrics whose title is not enough, by key."""
+"""Keys of results and comparisons: the same metric in its displayed unit."""
+METRICS = {metric.key: metric for metric in TABLE}
+METRICS |= {alias: in_displayed_unit(METRICS[key], alias) for alias, key in ALIASES.items()}
 RESULT = (
     *("ticks", "missed_ticks", "mse_m2", "mse_lateral_m2", "rms_error_m", "p95_error_m"),
     *("max_error_m", "rms_heading_error_deg", "steering_rms_increment_deg"),

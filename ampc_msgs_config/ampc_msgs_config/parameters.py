@@ -12,6 +12,11 @@ from ampc_msgs_config.validation import Checked, choice, number
 
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2]."""
+MIN_SPEED = 1.0
+"""Smallest speed of the model, which divides by the speed [m/s]."""
+FRICTION_SHARE = 1.3
+"""Bound of the angle: that of a linear tyre at this multiple of the friction limit. The curve of a
+real tyre flattens and reaches its peak at about this multiple of the linear angle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +53,12 @@ def understeer_gradient(vehicle: tuple[float, ...]) -> float:
     """Return K_us = m/L (l_r / 2 C_f - l_f / 2 C_r) of m, I_z, l_f, l_r, C_f, C_r [rad s^2/m]."""
     m, _, l_f, l_r, C_f, C_r = vehicle
     return m / (l_f + l_r) * (l_r / (2 * C_f) - l_f / (2 * C_r))
+
+
+def cornering_angle(wheelbase: float, gradient: float, v_x: float, a_y: float) -> float:
+    """Return the angle of a steady circle, a_y (L / v^2 + max(K_us, 0)), v >= MIN_SPEED [rad]."""
+    v = max(v_x, MIN_SPEED)
+    return a_y * (wheelbase / v**2 + max(gradient, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)

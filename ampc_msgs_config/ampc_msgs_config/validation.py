@@ -157,32 +157,10 @@ def convert(kind: Any, value: Any, key: str) -> Any:
 
 
 def _record(cls: type[T], content: Any, key: str) -> T:
-    if not isinstance(content, Mapping):
-        raise ValueError(
-            f"{key} = {shown(content)} must be a mapping of keys"
-            if key
-            else f"must be a mapping of keys, not {shown(content)}"
-        )
-    check_keys(cls, content, key)
-    kinds = hints(cls).items()
-    values = {k: convert(kind, content[k], dotted(key, k)) for k, kind in kinds if k in content}
-    try:
-        return cls(**values)
-    except ValueError as error:  # what ties several fields together
-        raise ValueError(dotted(key, str(error))) from error
-
-
-def check_keys(cls: type, content: Mapping[Any, Any], key: str) -> None:
-    """Raise a ValueError for a key that is unknown, renamed or missing.
-
-    Args:
-        cls: Record class; the tag of a Struct is an allowed key.
-        content: Mapping that is to become one.
-        key: Dotted key of the mapping, for the message.
-    """
-    where = f"{key}: " if key else ""
-    known, renamed = defaults(cls), getattr(cls, "RENAMED", {})
-    tag, _ = tag_of(cls)
+    """Build a record from a mapping without unknown, renamed or missing keys."""
+    check_mapping(content, key)
+    where, known, (tag, _) = f"{key}: " if key else "", defaults(cls), tag_of(cls)
+    renamed = getattr(cls, "RENAMED", {})
     for name in content:
         if name in renamed:
             raise ValueError(f"{where}key {name!r} is now {renamed[name]!r}")
@@ -192,6 +170,20 @@ def check_keys(cls: type, content: Mapping[Any, Any], key: str) -> None:
     for name, default in known.items():
         if name not in content and default is MISSING:
             raise ValueError(f"{where}missing key {name!r}")
+    kinds = hints(cls).items()
+    values = {k: convert(kind, content[k], dotted(key, k)) for k, kind in kinds if k in content}
+    try:
+        return cls(**values)
+    except ValueError as error:  # what ties several fields together
+        raise ValueError(dotted(key, str(error))) from error
+
+
+def check_mapping(content: Any, key: str) -> None:
+    """Raise a ValueError unless the content at a key is a mapping."""
+    if not isinstance(content, Mapping) and key:
+        raise ValueError(f"{key} = {shown(content)} must be a mapping of keys")
+    if not isinstance(content, Mapping):
+        raise ValueError(f"must be a mapping of keys, not {shown(content)}")
 
 
 def _alternative(union: Any, value: Any, key: str) -> Any:
@@ -204,24 +196,18 @@ def _alternative(union: Any, value: Any, key: str) -> Any:
             return member
     tagged = {tag_of(member)[1]: member for member in members}
     if None not in tagged:
-        return _tagged(tagged, value, key)
+        check_mapping(value, key)
+        field = tag_of(members[0])[0]
+        if field not in value:
+            raise ValueError(f"{key}: missing key {field!r}")
+        tag = value[field]
+        if not isinstance(tag, str) or tag not in tagged:
+            options = ", ".join(map(str, tagged))
+            raise ValueError(f"{key}.{field} = {shown(tag)} must be one of {options}")
+        return tagged[tag]
     records = [member for member in members if is_record(unwrap(member)[0])]
     others = [member for member in members if member not in records]
     return (records + others if isinstance(value, Mapping) else others + records)[0]
-
-
-def _tagged(members: Mapping[str | None, Any], value: Any, key: str) -> Any:
-    """Return the member whose tag a mapping holds."""
-    field = tag_of(next(iter(members.values())))[0]
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{key} = {shown(value)} must be a mapping of keys")
-    if field not in value:
-        raise ValueError(f"{key}: missing key {field!r}")
-    tag = value[field]
-    if not isinstance(tag, str) or tag not in members:
-        options = ", ".join(map(str, members))
-        raise ValueError(f"{key}.{field} = {shown(tag)} must be one of {options}")
-    return members[tag]
 
 
 def tag_of(cls: Any) -> tuple[str | None, str | None]:
@@ -232,33 +218,26 @@ def tag_of(cls: Any) -> tuple[str | None, str | None]:
 
 def _row(kind: Any, meta: msgspec.Meta | None, values: Any, key: str) -> tuple[Any, ...]:
     """Return a list as a tuple: of any length where declared with `...`, else of the given one."""
-    items = get_args(kind)
-    is_open = items[-1] is ...
-    low, high = (
-        ((meta.min_length or 0) if meta else 0, meta.max_length if meta else None)
-        if is_open
-        else (len(items), len(items))
-    )
+    kinds = get_args(kind)
+    low, high = len(kinds), float(len(kinds))
+    if kinds[-1] is ...:
+        low, high = (meta.min_length or 0, meta.max_length or math.inf) if meta else (0, math.inf)
     if not isinstance(values, list | tuple) or hasattr(values, "_fields"):
-        of = " of numbers" if unwrap(items[0])[0] in (int, float) else ""
+        of = " of numbers" if unwrap(kinds[0])[0] in (int, float) else ""
         raise ValueError(f"{key} = {shown(values)} must be a list{of}")
-    if len(values) < low or (high is not None and len(values) > high):
-        bound = (
-            f"{low}" if low == high else f"{low} or more" if high is None else f"{low} to {high}"
-        )
-        raise ValueError(f"{key} = {shown(values)} must be a list of {bound} entries")
-    kinds = [items[0]] * len(values) if is_open else items
-    return tuple(
-        convert(kind, value, f"{key}[{i}]")
-        for i, (kind, value) in enumerate(zip(kinds, values, strict=True))
-    )
+    if not low <= len(values) <= high:
+        to = "" if low == high else " or more" if high == math.inf else f" to {high:.0f}"
+        raise ValueError(f"{key} = {shown(values)} must be a list of {low}{to} entries")
+    if kinds[-1] is ...:
+        kinds = (kinds[0],) * len(values)
+    items = enumerate(zip(kinds, values, strict=True))
+    return tuple(convert(kind, value, f"{key}[{i}]") for i, (kind, value) in items)
 
 
 def check_range(name: str, value: Any, declared: msgspec.Meta) -> None:
     """Raise a ValueError with name, value and bound unless a number lies in its declared range."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        low = -math.inf if declared.ge is None else declared.ge
-        high = math.inf if declared.le is None else declared.le
+        low, high = number_bounds(declared)
         if low <= value <= high and declared.multiple_of is None:
             return  # called in each period of a simulated drive
     convert(Annotated[float, declared], value, name)
@@ -283,11 +262,10 @@ def shown(value: Any) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
-def bounds_text(declared: msgspec.Meta) -> str:
-    """Return `[low, high] unit` of a declared number."""
-    low = -math.inf if declared.ge is None else declared.ge
-    high = math.inf if declared.le is None else declared.le
-    return f"[{low:g}, {high:g}] {(declared.extra or {}).get('unit', '')}".rstrip()
+def number_bounds(declared: msgspec.Meta) -> tuple[float, float]:
+    """Return the bounds of a declared number."""
+    low = -math.inf if declared.ge is None else float(declared.ge)
+    return low, math.inf if declared.le is None else float(declared.le)
 
 
 def expected(kind: Any, meta: msgspec.Meta | None, value: Any) -> str:
@@ -297,10 +275,13 @@ def expected(kind: Any, meta: msgspec.Meta | None, value: Any) -> str:
     if kind not in (int, float):
         names = {bool: "true or false", str: "text"}
         return f"be {names.get(kind, 'a mapping of keys')}"
-    bounds = f" in {bounds_text(meta)}" if meta else ""
+    within = ""
+    if meta:
+        low, high = number_bounds(meta)
+        within = f" in [{low:g}, {high:g}] {(meta.extra or {}).get('unit', '')}".rstrip()
     is_whole = kind is int or (meta is not None and meta.multiple_of is not None)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return f"be a {'whole ' if is_whole else ''}number{bounds}"
+        return f"be a {'whole ' if is_whole else ''}number{within}"
     if is_whole and isinstance(value, float) and math.isfinite(value) and value % 1:
-        return f"be a whole number{bounds}"
-    return f"lie{bounds}"
+        return f"be a whole number{within}"
+    return f"lie{within}"

@@ -10,18 +10,22 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import zstandard
-from mcap.reader import NonSeekingReader, SeekingReader
-from mcap.records import Channel, Schema
-from mcap.stream_reader import StreamReader
+from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.recording.message_types import TYPES, message_class
-from launch_scripts.bags.salvage import MAGIC, ZSTD_MAGIC, is_closed, salvage, uncompressed
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class
+from launch_scripts.bags.salvage import (
+    MAGIC,
+    ZSTD_MAGIC,
+    is_closed,
+    read_index,
+    salvage,
+    uncompressed,
+)
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE = "the bag is stored in SQLite; `ros2 bag convert` converts it to MCAP"
-PROFILES = ("ros2", "")
 
 
 class BagMessage(NamedTuple):
@@ -43,22 +47,16 @@ class BagFile(NamedTuple):
     path: Path
     stream: IO[bytes]
     """Complete MCAP file: the file itself, or a temporary copy, decompressed and salvaged."""
-    types: dict[str, str]
-    """Message type of each topic."""
-    encodings: dict[str, str]
-    """Serialisation format of each topic."""
-    has_index: bool
-    """Whether the summary lists all chunks, channels and schemas."""
-    was_closed: bool
-    """Whether the writer closed the file."""
+    summary: Summary
+    """Summary with all chunks, channels and schemas."""
+    is_complete: bool
+    """Whether the writer closed the file, and nothing in it was left out."""
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics in the order of their log times."""
         self.stream.seek(0)
-        # SeekingReader checks no CRC where it finds no index of chunks
-        reader_class = SeekingReader if self.has_index else NonSeekingReader
         with damage_in_one_line(self.path):
-            reader = reader_class(self.stream, validate_crcs=True)
+            reader = SeekingReader(self.stream, validate_crcs=True)
             for _, channel, message in reader.iter_messages(topics):
                 data = uncompressed(message.data)
                 yield BagMessage(channel.topic, message.log_time, message.publish_time, data)
@@ -69,13 +67,10 @@ class Bag(NamedTuple):
 
     path: Path
     files: list[BagFile]
+    topics: dict[str, str]
+    """Topics of the bag with their types, such as `nav_msgs/msg/Odometry`."""
     is_complete: bool
-    """Whether the writer closed every file."""
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Topics of the bag with their types, such as `nav_msgs/msg/Odometry`."""
-        return {topic: type_ for file in self.files for topic, type_ in file.types.items()}
+    """Whether every file is complete."""
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics (full names) in the order of their log times.
@@ -89,9 +84,10 @@ class Bag(NamedTuple):
         for fault in filter(None, map(self.wrong_type, topics)):
             raise ValueError(f"{self.path}: {fault}")
         for file in self.files:
-            for topic in file.encodings.keys() & topics:
-                if (encoding := file.encodings[topic]) != "cdr":
-                    raise ValueError(f"{file.path}: {topic} is serialised as {encoding!r}, not CDR")
+            for each in file.summary.channels.values():
+                if each.topic in topics and (encoding := each.message_encoding) != "cdr":
+                    fault = f"{each.topic} is serialised as {encoding!r}, not CDR"
+                    raise ValueError(f"{file.path}: {fault}")
         parts = [file.messages(topics) for file in self.files]
         return heapq.merge(*parts, key=lambda message: message.log_time_ns)
 
@@ -105,19 +101,19 @@ class Bag(NamedTuple):
 
     def wrong_type(self, topic: str) -> str:
         """Return one line if the type of a topic violates the contract, otherwise ''."""
-        names = (name for name in TYPES if topic.endswith("/" + name.lstrip("/")))
-        required = TYPES[name] if (name := next(names, "")) else ""
-        type_name = self.topics.get(topic, required)
-        is_right = not required or type_name == required
-        return "" if is_right else f"{topic} holds {type_name}, not {required}"
+        type_name = self.topics.get(topic)
+        for name, required in TOPIC_TYPES.items():
+            if topic.endswith("/" + name.lstrip("/")) and type_name not in (None, required):
+                return f"{topic} holds {type_name}, not {required}"
+        return ""
 
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """Open a bag.
 
-    A compressed file is decompressed once. A file that was not closed is salvaged once: all that
-    is undamaged in it can be read.
+    A compressed file is decompressed once. A file that was not closed or lacks an index is
+    salvaged once: all that is undamaged in it can be read.
 
     Args:
         path: Folder of the bag, or one of its files.
@@ -126,17 +122,21 @@ def open_bag(path: Path) -> Iterator[Bag]:
         ValueError: One line that names the file: there is no bag, or it cannot be understood.
     """
     files = bag_files(path)
-    opened = []
     with ExitStack() as stack:
-        for file in files:
-            # A killed recorder leaves the last file of a split bag empty.
-            if len(files) == 1 or file.stat().st_size:
-                check_format(file)
-                opened.append(open_file(file, stack))
+        opened = [
+            open_file(file, stack)
+            for file in files
+            if len(files) == 1 or file.stat().st_size  # a killed recorder leaves the last one empty
+        ]
         if not opened:
             raise ValueError(f"{path}: no bag: all files are empty")
-        is_complete = len(opened) == len(files) and all(file.was_closed for file in opened)
-        yield Bag(path, opened, is_complete)
+        topics = {
+            channel.topic: file.summary.schemas[channel.schema_id].name if channel.schema_id else ""
+            for file in opened
+            for channel in file.summary.channels.values()
+        }
+        is_complete = len(opened) == len(files) and all(file.is_complete for file in opened)
+        yield Bag(path, opened, topics, is_complete)
 
 
 def bag_files(bag: Path) -> list[Path]:
@@ -152,16 +152,17 @@ def bag_files(bag: Path) -> list[Path]:
     # While rosbag2 compresses a file, both forms exist.
     files = {file.name.removesuffix(".zstd"): file for file in bag.glob("*.mcap.zstd")}
     files |= {file.name: file for file in bag.glob("*.mcap")}
-    if not files and any(bag.glob("*.db3*")):
-        raise ValueError(f"{bag}: {SQLITE}")
     if not files:
-        raise ValueError(f"{bag}: no bag: the folder holds no .mcap file")
+        is_sqlite = any(bag.glob("*.db3*"))
+        raise ValueError(
+            f"{bag}: {SQLITE if is_sqlite else 'no bag: the folder holds no .mcap file'}"
+        )
+
+    def natural_order(name: str) -> list[tuple[int, str]]:  # sorts `bag_10` after `bag_2`
+        parts = re.split(r"(\d+)", name)
+        return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
+
     return [files[name] for name in sorted(files, key=natural_order)]
-
-
-def natural_order(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts `bag_10` after `bag_2`."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 def check_format(file: Path) -> None:
@@ -185,47 +186,32 @@ def check_format(file: Path) -> None:
 
 def open_file(file: Path, stack: ExitStack) -> BagFile:
     """Open one file; `stack` closes it."""
+    check_format(file)
     with damage_in_one_line(file):
         stream = stack.enter_context(open_decompressed(file))
-        was_closed = is_closed(stream)
-        if not was_closed:
-            stream = stack.enter_context(open_salvaged(stream))
-        reader = SeekingReader(stream)
-        profile, summary = reader.get_header().profile, reader.get_summary()
-        if profile not in PROFILES:
+        is_complete, index = is_closed(stream), read_index(stream)
+        if not (is_complete and is_full_index(index)):
+            copy = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (the stack closes it)
+            result = salvage(stream, copy, compress=False)
+            stream, index, is_complete = copy, result.index, result.is_undamaged
+        stream.seek(0)
+        profile = SeekingReader(stream).get_header().profile
+        if profile not in ("ros2", ""):
             raise ValueError(f"its profile is {profile!r}, not 'ros2'")
-        has_index = summary is not None and is_full_index(summary)
-        index = summary if summary and has_index else read_channels(stream)
-        type_names = {0: "", **{key: schema.name for key, schema in index.schemas.items()}}
-        channels = index.channels.values()
-        types = {channel.topic: type_names[channel.schema_id] for channel in channels}
-        encodings = {channel.topic: channel.message_encoding for channel in channels}
-        return BagFile(file, stream, types, encodings, has_index, was_closed)
+        return BagFile(file, stream, index, is_complete)
 
 
 @contextmanager
 def open_decompressed(file: Path) -> Iterator[IO[bytes]]:
     """Open a file; one that is compressed as a whole is decompressed as far as it is complete."""
-    with file.open("rb") as stream:
+    with file.open("rb") as stream, tempfile.TemporaryFile() as content:
         is_compressed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         stream.seek(0)
-        if not is_compressed:
-            yield stream
-            return
-        with tempfile.TemporaryFile() as content:
+        if is_compressed:
             with zstandard.ZstdDecompressor().stream_reader(stream) as source:
                 shutil.copyfileobj(source, content)
             content.seek(0)
-            yield content
-
-
-@contextmanager
-def open_salvaged(stream: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Open a complete copy of all that is undamaged in a file."""
-    with tempfile.TemporaryFile() as copy:
-        salvage(stream, copy, compress=False)
-        copy.seek(0)
-        yield copy
+        yield content if is_compressed else stream
 
 
 def is_full_index(summary: Summary) -> bool:
@@ -241,18 +227,6 @@ def is_full_index(summary: Summary) -> bool:
         and (counts.chunk_count > 0 or not counts.message_count)
         and {channel.schema_id for channel in channels} <= {0, *summary.schemas}
     )
-
-
-def read_channels(stream: IO[bytes]) -> Summary:
-    """Return the schemas and channels of a file without an index; this reads the whole file."""
-    summary = Summary()
-    stream.seek(0)
-    for record in StreamReader(stream).records:
-        if isinstance(record, Schema):
-            summary.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            summary.channels[record.id] = record
-    return summary
 
 
 @contextmanager

@@ -9,10 +9,10 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ampc_msgs_config import ros, topics
+from ampc_msgs_config.config import parse
 from ampc_msgs_config.types import NANOSECONDS, Array
 from launch_scripts.bags.bag import Bag, BagMessage, open_bag
 
@@ -27,12 +27,15 @@ UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
     topics.STEERING_COMMAND: ros.steering_angle,
     topics.STEERING_STATE: ros.steering_angle,
     topics.TARGET_SPEED: ros.target_speed,
+    topics.WIND: lambda m: (ros.nanoseconds(m.header.stamp), m.vector.x, m.vector.y),
+    topics.TICK: lambda m: (ros.nanoseconds(m.header.stamp), *m.position),
 }
 """Functions that return stamp [ns] and values of a message, by topic."""
 MAX_PREDICTIONS = 1000
 """At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
 FIRST_STAMP = 10 * NANOSECONDS
 """A clock that starts at 0 has stamps below this; otherwise a stamp of 0 was never set [ns]."""
+INCOMPLETE = "The bag was not closed or is damaged: a part may be missing."
 Stamps = NDArray[np.int64]
 
 
@@ -77,14 +80,24 @@ def read_columns(path: File, namespace: str | None = None) -> BagColumns:
         ValueError: One line that names the bag and the fault.
     """
     with open_bag(path) as bag:
-        notes = [] if bag.is_complete else ["The bag was not closed: its end may be missing."]
+        notes = [] if bag.is_complete else [INCOMPLETE]
         if namespace is None:
             namespace = namespace_of(bag)
-            notes += other_namespaces(bag, namespace)
+            used = {f"{namespace}/{topics.ODOM}", f"{namespace}/{topics.FAULTY}{topics.ODOM}"}
+            odometry = {topic for topic in bag.topics if topic.endswith(f"/{topics.ODOM}")}
+            if others := ", ".join(sorted(odometry - used)):
+                chosen = f"{namespace}/{topics.ODOM} is evaluated, not {others}"
+                notes.append(f"{chosen}; --namespace selects another.")
         prefix = namespace.rstrip("/") + "/"
-        wanted = [prefix + name for name in WANTED if is_usable(bag, prefix + name, notes)]
+        wanted = {prefix + name for name in WANTED} & bag.topics.keys()
+        for fault in filter(None, map(bag.wrong_type, sorted(wanted))):
+            topic = fault.partition(" ")[0]
+            if topic == prefix + topics.ODOM:
+                raise ValueError(f"{bag.path}: {fault}")
+            notes.append(f"Left out: {fault}.")
+            wanted.remove(topic)
         if prefix + topics.TICK in wanted:  # contains the debug topics
-            wanted = [topic for topic in wanted if topic[len(prefix) :] not in DEBUG]
+            wanted -= {prefix + topic for topic in DEBUG}
         collector = Collector(bag, prefix)
         for message in bag.messages(wanted):
             collector.take(message)
@@ -106,43 +119,24 @@ def namespace_of(bag: Bag) -> str:
     )
 
 
-def other_namespaces(bag: Bag, namespace: str) -> list[str]:
-    """Return a note if the bag has odometry in other namespaces than the chosen one."""
-    chosen = f"{namespace}/{topics.ODOM}"
-    expected = {chosen, f"{namespace}/{topics.FAULTY}{topics.ODOM}"}
-    others = [
-        topic for topic in bag.topics if topic.endswith(f"/{topics.ODOM}") and topic not in expected
-    ]
-    if not others:
-        return []
-    return [f"{chosen} is evaluated, not {', '.join(others)}; --namespace selects another."]
+class ColumnRows(NamedTuple):
+    """Rows of one topic."""
 
-
-def is_usable(bag: Bag, topic: str, notes: list[str]) -> bool:
-    """Return whether the bag has a topic with its type; note a wrong type.
-
-    Raises:
-        ValueError: `odom` has another type.
-    """
-    fault = bag.wrong_type(topic)
-    if fault and topic.endswith(f"/{topics.ODOM}"):
-        raise ValueError(f"{bag.path}: {fault}")
-    if fault:
-        notes.append(f"Left out: {fault}.")
-    return topic in bag.topics and not fault
+    stamps: Stamps
+    """(n,) [ns]; all 0 without stamps."""
+    log_times: Stamps
+    """(n,) [ns]."""
+    values: Array
+    """(n, k)."""
 
 
 class Column:
-    """Rows of one topic: stamps and log times as integers, values as floats."""
+    """Collects the rows of one topic in little memory."""
 
     def __init__(self) -> None:
         """Create an empty column."""
         self.stamps, self.log_times, self.numbers = array("q"), array("q"), array("d")
         self.rejected, self.reason = 0, ""
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.stamps)
 
     def add(self, log_time_ns: int, stamp_ns: int, *values: float) -> None:
         """Append a row."""
@@ -150,37 +144,29 @@ class Column:
         self.stamps.append(stamp_ns)
         self.numbers.extend(values)
 
-    def reject(self, error: Exception) -> None:
-        """Count a message that cannot be used."""
-        self.rejected, self.reason = self.rejected + 1, self.reason or str(error)
+    def reject(self, reason: str, count: int = 1) -> None:
+        """Count messages that cannot be used."""
+        self.rejected, self.reason = self.rejected + count, self.reason or reason
 
-    def drop_unset_stamps(self) -> None:
-        """Reject rows whose stamp was never set, where other rows have one."""
-        stamps = np.array(self.stamps)
+    def rows(self, topic: str, notes: list[str]) -> ColumnRows:
+        """Return the rows without stamps that were never set; note rejected messages.
+
+        Args:
+            topic: Full name of the topic.
+            notes: Receives one sentence for each kind of fault.
+        """
+        stamps, total = np.array(self.stamps), self.rejected + len(self.stamps)
+        values = np.array(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
         is_set = stamps != 0
-        if is_set.all() or not is_set.any() or stamps[is_set].min() < FIRST_STAMP:
-            return
-        numbers = np.array(self.numbers).reshape(len(stamps), -1)
-        for _ in range(np.count_nonzero(~is_set)):
-            self.reject(ValueError("the stamp is 0"))
-        self.stamps = array("q", stamps[is_set].tobytes())
-        self.log_times = array("q", np.array(self.log_times)[is_set].tobytes())
-        self.numbers = array("d", numbers[is_set].tobytes())
-
-    def rows(self, stamps: Stamps, start_ns: int) -> Array:
-        """Return time since `start_ns` [s] and values (n, 1 + k), in the order of time."""
-        time = (stamps - start_ns) / NANOSECONDS
-        values = np.array(self.numbers).reshape(len(time), -1 if len(time) else 1)
-        return np.column_stack((time, values))[np.argsort(stamps, kind="stable")]
-
-    def note_faults(self, topic: str, notes: list[str]) -> None:
-        """Note rejected messages, and stamps that go back."""
+        if not is_set.any() or stamps[is_set].min() < FIRST_STAMP:
+            is_set[:] = True
+        if unset := int((~is_set).sum()):
+            self.reject("the stamp is 0", unset)
         if self.rejected:
-            total = self.rejected + len(self)
             notes.append(f"{topic}: {self.rejected} of {total} messages rejected: {self.reason}.")
-        back = int((np.diff(np.array(self.stamps)) < 0).sum())
-        if back:
+        if back := int((np.diff(stamps[is_set]) < 0).sum()):
             notes.append(f"{topic}: time goes back {back} times; sorted by the stamps.")
+        return ColumnRows(stamps[is_set], np.array(self.log_times)[is_set], values[is_set])
 
 
 class Collector:
@@ -194,7 +180,7 @@ class Collector:
             prefix: Namespace with its slash, which precedes the names of the topics.
         """
         self.bag, self.prefix = bag, prefix
-        self.columns: dict[str, Column] = {}
+        self.columns: dict[str, Column] = {topics.ODOM: Column()}
         self.tick_names: list[str] = []
         self.paths: list[tuple[int, Array]] = []
         self.predictions: list[BagMessage] = []
@@ -211,7 +197,7 @@ class Collector:
         try:
             self.unpack(name, self.bag.decode(message), message.log_time_ns, column)
         except ValueError as error:
-            column.reject(error)
+            column.reject(str(error))
 
     def thin(self, prediction: BagMessage) -> None:
         """Keep one prediction in `prediction_step`; double that step when there are too many."""
@@ -227,17 +213,12 @@ class Collector:
         Raises:
             ValueError: The content violates the contract of the topic.
         """
-        if name in UNPACK:
-            column.add(log_time_ns, *UNPACK[name](message))
-        elif name == topics.WIND:
-            stamp_ns, wind = ros.nanoseconds(message.header.stamp), message.vector
-            column.add(log_time_ns, stamp_ns, wind.x, wind.y)
-        elif name == topics.TICK:
-            # All rows have the quantities of the first message.
+        if name == topics.TICK:  # all rows have the quantities of the first message
             self.tick_names = self.tick_names or list(message.name)
             if message.name != self.tick_names or len(message.position) != len(self.tick_names):
                 raise ValueError("its quantities are not those of the first message")
-            column.add(log_time_ns, ros.nanoseconds(message.header.stamp), *message.position)
+        if name in UNPACK:
+            column.add(log_time_ns, *UNPACK[name](message))
         elif name == topics.REFERENCE_PATH:
             points = path_array(message)
             if not self.paths or not np.array_equal(points, self.paths[-1][1]):
@@ -245,34 +226,13 @@ class Collector:
                 column.add(log_time_ns, 0, float(len(points)))
         elif name in topics.CONFIGURATIONS:
             self.texts[name.partition("/")[0]] = message.data
-        else:  # Bool and Float64 have no stamp
+        else:  # Bool and Float64
             column.add(log_time_ns, 0, float(message.data))
 
 
 def path_array(message: Any) -> Array:
     """Return the positions of a path (n, 2) [m]."""
     return np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
-
-
-class Clock:
-    """Converts log times, which may come from another clock, to the clock of the stamps."""
-
-    def __init__(self, column: Column) -> None:
-        """Learn the offset from a column that has both."""
-        self.log_times = np.maximum.accumulate(np.array(column.log_times))
-        stamps = np.array(column.stamps)
-        self.given: Stamps = stamps if stamps.any() else self.log_times
-
-    def stamps(self, column: Column) -> Stamps:
-        """Return the stamps of a column, from its log times if it has none [ns]."""
-        stamps: Stamps = np.array(column.stamps)
-        return stamps if stamps.any() else self.convert(np.array(column.log_times))
-
-    def convert(self, log_times: Stamps) -> Stamps:
-        """Convert log times with the offset of the previous message [ns]."""
-        before = np.searchsorted(self.log_times, log_times, side="right") - 1
-        before = np.clip(before, 0, len(self.log_times) - 1)
-        return np.asarray(log_times - (self.log_times - self.given)[before])
 
 
 def arrange(collector: Collector, notes: list[str]) -> BagColumns:
@@ -282,41 +242,57 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
         ValueError: The bag has no usable odometry.
     """
     namespace, path = collector.prefix[:-1], collector.bag.path
-    columns = collector.columns
-    for name, column in columns.items():
-        column.drop_unset_stamps()
-        column.note_faults(f"{namespace}/{name}", notes)
-    odom, commands = (
-        columns.get(name, Column()) for name in (topics.ODOM, topics.STEERING_COMMAND)
-    )
-    if not odom:
+    odom = collector.columns[topics.ODOM]
+    rows = {
+        name: column.rows(f"{namespace}/{name}", notes)
+        for name, column in collector.columns.items()
+    }
+    if not len(rows[topics.ODOM].stamps):
         reason = f": {odom.reason}" if odom.rejected else ""
         raise ValueError(f"{path}: holds no usable message on {namespace}/{topics.ODOM}{reason}")
-    # Time 0 is the first command.
-    clock = Clock(commands or odom)
-    start_ns = int(clock.stamps(commands or odom).min())
+    # Time 0 is the first command, whose stamps also relate the log times to the car's clock.
+    first = rows.get(topics.STEERING_COMMAND, rows[topics.ODOM])
+    first = first if len(first.stamps) else rows[topics.ODOM]
+    log_times = np.maximum.accumulate(first.log_times)
+    offsets = log_times - (first.stamps if first.stamps.any() else log_times)
+    start_ns = int((log_times - offsets).min())
 
-    def seconds(time_ns: int) -> float:
+    def seconds(time_ns: Stamps) -> Array:
         return (time_ns - start_ns) / NANOSECONDS
 
-    rows = {name: column.rows(clock.stamps(column), start_ns) for name, column in columns.items()}
-    paths = [
-        Sample(seconds(int(clock.convert(np.array([log_time_ns]))[0])), points)
-        for log_time_ns, points in collector.paths
-    ]
-    predictions = []
-    for message in map(collector.bag.decode, collector.predictions):
-        stamp_ns = ros.nanoseconds(message.header.stamp)
-        predictions.append(Sample(seconds(stamp_ns), path_array(message)))
+    def stamps_of(times: Stamps) -> Stamps:
+        before = np.searchsorted(log_times, times, side="right") - 1
+        return np.asarray(times - offsets[np.clip(before, 0, len(offsets) - 1)])
+
+    values = {}
+    for name, (stamps, times, numbers) in rows.items():
+        stamps = stamps if stamps.any() else stamps_of(times)
+        table = np.column_stack((seconds(stamps), numbers))
+        values[name] = table[np.argsort(stamps, kind="stable")]
+    path_times = stamps_of(np.array([time_ns for time_ns, _ in collector.paths], dtype=np.int64))
+    configuration = {}
+    for node, text in collector.texts.items():
+        try:
+            configuration[node] = parse(text, node)
+        except ValueError:
+            notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
+    predicted = [collector.bag.decode(message) for message in collector.predictions]
+    stamps = np.array([ros.nanoseconds(each.header.stamp) for each in predicted], dtype=np.int64)
     return BagColumns(
         path,
         namespace,
         start_ns,
-        {name: value for name, value in rows.items() if len(value)},
-        tick_columns(rows, collector.tick_names),
-        paths,
-        predictions,
-        parse_configurations(collector.texts, notes),
+        {name: table for name, table in values.items() if len(table)},
+        tick_columns(values, collector.tick_names),
+        [
+            Sample(time, points)
+            for time, (_, points) in zip(seconds(path_times).tolist(), collector.paths, strict=True)
+        ],
+        [
+            Sample(time, path_array(each))
+            for time, each in zip(seconds(stamps).tolist(), predicted, strict=True)
+        ],
+        configuration,
         notes,
     )
 
@@ -334,18 +310,3 @@ def tick_columns(rows: Mapping[str, Array], names: list[str]) -> dict[str, Array
                 values[:, 0] = commands[:, 0]
     finite = {name: values[np.isfinite(values[:, 1])] for name, values in quantities.items()}
     return {name: values for name, values in finite.items() if len(values)}
-
-
-def parse_configurations(texts: Mapping[str, str], notes: list[str]) -> dict[str, dict[str, Any]]:
-    """Parse the YAML documents of the nodes; note any that is not a mapping."""
-    configuration = {}
-    for node, text in texts.items():
-        try:
-            content = yaml.safe_load(text)
-        except (yaml.YAMLError, RecursionError):
-            content = None
-        if isinstance(content, dict):
-            configuration[node] = content
-        else:
-            notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    return configuration

@@ -1,22 +1,28 @@
 """Recover a bag: copy all that is undamaged into a new folder, with index and `metadata.yaml`."""
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from mcap.records import Channel
+from mcap.summary import Summary
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from ampc_msgs_config.recording.bag_metadata import (
     FILE_NAME,
     Extent,
     Topic,
     read_metadata,
+    total_of,
     write_metadata,
 )
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.bags.bag import bag_files, check_format, open_decompressed
 from launch_scripts.bags.salvage import Salvage, salvage
 
-SILENCE = NANOSECONDS
+LONG_SILENCE = NANOSECONDS
 """Topics whose last message is earlier than this before the end are listed [ns]."""
 KEPT_KEYS = ("custom_data", "ros_distro")
 """Keys of the old `metadata.yaml` that the new one keeps."""
@@ -40,7 +46,15 @@ def recover(bag: Path, output: Path) -> list[str]:
         ValueError: Nothing can be read, or the new folder exists already.
         OSError: The new folder cannot be written; it has been removed.
     """
-    lines, files = select_mcap_files(bag_files(bag))
+    lines, files = [], []
+    for file in bag_files(bag):
+        try:
+            check_format(file)
+            files.append(file)
+        except ValueError as error:
+            lines.append(str(error))
+    if not files:
+        raise ValueError(lines[0])
     if output.exists():
         raise ValueError(f"{output}: exists already, and nothing is overwritten")
     output.mkdir(parents=True)
@@ -49,68 +63,73 @@ def recover(bag: Path, output: Path) -> list[str]:
         # The old files are only read.
         salvages = []
         for file, name in zip(files, names, strict=True):
-            with open_decompressed(file) as source, (output / name).open("xb") as target:
+            with open_decompressed(file) as source, (output / name).open("x+b") as target:
                 salvages.append(salvage(source, target))
-        topics = merge_topics(salvages)
-        old = read_metadata(bag)
-        if not lines and is_complete(files, salvages, old):
+        extents = [extent_of(each.index) for each in salvages]
+        topics, old = topics_of(salvages), read_metadata(bag)
+        size = bag_size(salvages, extents, topics)
+        if (
+            not lines
+            and all(each.is_undamaged for each in salvages)
+            and old.get("message_count") == sum(extent.count for extent in extents)
+            and old.get("relative_file_paths") == [file.name for file in files]
+        ):
             shutil.rmtree(output)
-            return [f"{bag}: complete already: {summary(salvages, topics)}"]
-        extents = {name: each.extent for name, each in zip(names, salvages, strict=True)}
+            return [f"{bag}: complete already: {size}"]
         kept = {key: old[key] for key in KEPT_KEYS if key in old}
-        write_metadata(output, extents, topics.values(), kept)
+        extent_by_name = dict(zip(names, extents, strict=True))
+        write_metadata(output, extent_by_name, topics.values(), kept)
     except OSError:
         shutil.rmtree(output, ignore_errors=True)
         raise
     for file, each in zip(files, salvages, strict=True):
         lines += losses(file, each)
-    return [*lines, *silent_topics(topics), f"{output}: recovered: {summary(salvages, topics)}"]
+    return [*lines, *silent_topics(salvages, topics), f"{output}: recovered: {size}"]
 
 
-def select_mcap_files(candidates: Iterable[Path]) -> tuple[list[str], list[Path]]:
-    """Return one line for each file that is not MCAP, and the other files.
-
-    Raises:
-        ValueError: No file is MCAP.
-    """
-    lines, files = [], []
-    for file in candidates:
-        try:
-            check_format(file)
-            files.append(file)
-        except ValueError as error:
-            lines.append(str(error))
-    if not files:
-        raise ValueError(lines[0])
-    return lines, files
+def extent_of(index: Summary) -> Extent:
+    """Return number and times of the messages of a file."""
+    counts = index.statistics
+    assert counts is not None  # the salvaged file has a complete index
+    return Extent(counts.message_count, counts.message_start_time, counts.message_end_time)
 
 
-def merge_topics(salvages: Iterable[Salvage]) -> dict[str, Topic]:
+def topics_of(salvages: Sequence[Salvage]) -> dict[str, Topic]:
     """Return the topics of all files of a bag, by name."""
     topics: dict[str, Topic] = {}
-    for each in salvages:
-        for name, topic in each.topics.items():
-            topics.setdefault(name, topic.without_messages()).extent.include(topic.extent)
+    for index in (each.index for each in salvages):
+        counts: Any = index.statistics
+        for number, channel in index.channels.items():
+            schema = index.schemas.get(channel.schema_id)
+            topic = Topic(
+                channel.topic,
+                schema.name if schema else "",
+                offered_qos(channel),
+                channel.metadata.get("topic_type_hash", ""),
+                channel.message_encoding,
+            )
+            topic = topics.setdefault(channel.topic, topic)
+            topic.count += counts.channel_message_counts.get(number, 0)
     return topics
 
 
-def is_complete(files: Sequence[Path], salvages: Sequence[Salvage], old: dict[str, Any]) -> bool:
-    """Return whether end marks, index and `metadata.yaml` of a bag are complete."""
-    return (
-        all(each.is_undamaged for each in salvages)
-        and old.get("message_count") == sum(each.extent.count for each in salvages)
-        and old.get("relative_file_paths") == [file.name for file in files]
-    )
+def offered_qos(channel: Channel) -> list[dict[str, Any]]:
+    """Convert the QoS profiles of a channel, of any version of rosbag2, to version 9."""
+    try:
+        profiles = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+        return [dict(qos) for qos in dump_qos_v9(profiles)]
+    except (ReaderError, KeyError, TypeError):
+        return []
 
 
-def summary(salvages: Sequence[Salvage], topics: dict[str, Topic]) -> str:
+def bag_size(
+    salvages: Sequence[Salvage], extents: Sequence[Extent], topics: dict[str, Topic]
+) -> str:
     """Return the size of a bag in words."""
-    extent = Extent()
-    for each in salvages:
-        extent.include(each.extent)
+    extent = total_of(extents)
     counts = {
-        "attachments": sum(each.attachments for each in salvages),
-        "metadata records": sum(each.metadata_records for each in salvages),
+        "attachments": sum(len(each.index.attachment_indexes) for each in salvages),
+        "metadata records": sum(len(each.index.metadata_indexes) for each in salvages),
     }
     parts = [
         f"{extent.count} messages on {len(topics)} topics",
@@ -138,12 +157,12 @@ def losses(file: Path, result: Salvage) -> list[str]:
     return lines
 
 
-def silent_topics(topics: dict[str, Topic]) -> list[str]:
+def silent_topics(salvages: Sequence[Salvage], topics: dict[str, Topic]) -> list[str]:
     """Return one line for each topic whose messages ended long before the bag."""
-    end_ns = max((topic.extent.end_ns for topic in topics.values()), default=0)
+    last_ns = {name: max(each.last_ns.get(name, 0) for each in salvages) for name in topics}
+    end_ns = max(last_ns.values(), default=0)
     return [
-        f"{topic.name}: last message {(end_ns - topic.extent.end_ns) / NANOSECONDS:.3f} s "
-        "before the end"
-        for topic in topics.values()
-        if topic.extent.count > 1 and end_ns - topic.extent.end_ns > SILENCE
+        f"{name}: last message {(end_ns - last) / NANOSECONDS:.3f} s before the end"
+        for name, last in last_ns.items()
+        if topics[name].count > 1 and end_ns - last > LONG_SILENCE
     ]

@@ -10,6 +10,7 @@ Own code, because the readers of `mcap` and `rosbags` stop at the first damaged 
 import io
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import IO, Any, NamedTuple
@@ -23,10 +24,6 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
-
-from ampc_msgs_config.recording.bag_metadata import Extent, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -34,16 +31,11 @@ HEAD = struct.Struct("<BQ")
 """Start of a record: its opcode and the length of its content [bytes]."""
 MESSAGE = struct.Struct("<HIQQ")
 """Start of a message: channel, sequence number, log time and publish time [ns]."""
-MAX_LENGTH = 2**32
+MAX_RECORD_LENGTH = 2**32
 """Longest content of a record [bytes]; a longer one is taken for damage."""
 DAMAGE = (
-    McapError,
-    struct.error,
-    ValueError,
-    OverflowError,
-    zstandard.ZstdError,
-    RuntimeError,
-    EOFError,
+    *(McapError, struct.error, zstandard.ZstdError),
+    *(ValueError, OverflowError, RuntimeError, EOFError),
 )
 """Errors that the libraries raise on damaged bytes."""
 
@@ -52,10 +44,10 @@ DAMAGE = (
 class Salvage:
     """Result of salvaging one file."""
 
-    extent: Extent = field(default_factory=Extent)
-    topics: dict[str, Topic] = field(default_factory=dict)
-    attachments: int = 0
-    metadata_records: int = 0
+    index: Summary = field(default_factory=Summary)
+    """Summary of the new file, with its channels and its numbers of records."""
+    last_ns: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    """Latest log time of each topic [ns]."""
     was_closed: bool = False
     """Whether the file ends with the magic number."""
     reached_end: bool = False
@@ -91,26 +83,26 @@ def salvage(source: IO[bytes], target: IO[bytes], *, compress: bool = True) -> S
 
     Args:
         source: MCAP file.
-        target: Receives a complete MCAP file.
+        target: Receives a complete MCAP file, and is read again.
         compress: Whether the chunks of the target are compressed.
 
     Raises:
         ValueError: The source does not begin as an MCAP file.
     """
-    was_closed = is_closed(source)
+    result = Salvage(was_closed=is_closed(source))
     if source.read(len(MAGIC)) != MAGIC:
         raise ValueError("the file does not begin as MCAP files do")
-    index = read_index(source)
-    copier = Copier(target, CompressionType.ZSTD if compress else CompressionType.NONE, index)
+    compression = CompressionType.ZSTD if compress else CompressionType.NONE
+    copier = Copier(result, Writer(target, compression=compression), read_index(source))
     for record in records(source):
         if record.opcode == Opcode.DATA_END and record.is_whole:
-            copier.result.reached_end = True
+            result.reached_end = True
             break
         copier.copy_record(record)
     copier.start("ros2", "")
     copier.writer.finish()
-    copier.result.was_closed = was_closed
-    return copier.result
+    result.index = read_index(target)
+    return result
 
 
 def is_closed(stream: IO[bytes]) -> bool:
@@ -126,7 +118,7 @@ def records(stream: IO[bytes]) -> Iterator[Record]:
     """Return the records from the current position on; the last one may be cut or no record."""
     while head := stream.read(HEAD.size):
         opcode, length = HEAD.unpack(head.ljust(HEAD.size, b"\0"))
-        is_record = len(head) == HEAD.size and opcode and length <= MAX_LENGTH
+        is_record = len(head) == HEAD.size and opcode and length <= MAX_RECORD_LENGTH
         content = stream.read(length if is_record else -1)
         is_whole = bool(is_record) and len(content) == length
         yield Record(opcode, content, len(head) + len(content), is_whole)
@@ -168,19 +160,21 @@ def uncompressed(data: bytes) -> bytes:
 class Copier:
     """Writes a complete MCAP file record by record."""
 
-    def __init__(self, target: IO[bytes], compression: CompressionType, index: Summary) -> None:
-        """Create an empty file.
+    def __init__(self, result: Salvage, writer: Any, index: Summary) -> None:
+        """Prepare an empty file.
 
         Args:
-            target: The new file.
-            compression: Compression of its chunks.
+            result: Receives what is kept and what is lost.
+            writer: Writer of the new file.
             index: Summary of the old file: it names the channels that a damaged chunk introduced.
         """
-        self.result, self.index = Salvage(), index
-        self.writer: Any = Writer(target, compression=compression)
+        self.result, self.writer, self.index = result, writer, index
         self.has_started = False
-        self.schemas: dict[int, tuple[int, str]] = {}
-        self.channels: dict[int, tuple[int, Topic]] = {}
+        self.schemas = {0: 0}
+        """New number of each schema by its old one."""
+        self.channels: dict[int, tuple[int, str]] = {}
+        """New number and topic of each channel by its old number."""
+        self.count = 0
 
     def copy_record(self, record: Record) -> None:
         """Copy a record of the top level, or count it as lost."""
@@ -203,26 +197,25 @@ class Copier:
         crc = chunk.uncompressed_crc
         if record.is_whole and crc and zlib.crc32(content) != crc:
             raise ValueError("damaged chunk")
-        count_before = self.result.extent.count
+        count_before = self.count
         for inner in records(io.BytesIO(content)):
             if inner.is_whole:
                 self.copy_content(inner)
             elif record.is_whole:
                 raise ValueError("damaged chunk")
             if not record.is_whole:
-                self.result.from_tail = self.result.extent.count - count_before
+                self.result.from_tail = self.count - count_before
 
     def copy_content(self, record: Record) -> None:
         """Copy a whole record that contains no others."""
-        if record.opcode != Opcode.HEADER:
-            self.start("ros2", "")
-        if record.opcode == Opcode.MESSAGE:
-            self.copy_message(record.content)
-            return
         stream = ReadDataStream(io.BytesIO(record.content))
         if record.opcode == Opcode.HEADER:
             header = Header.read(stream)
             self.start(header.profile, header.library)
+            return
+        self.start("ros2", "")
+        if record.opcode == Opcode.MESSAGE:
+            self.copy_message(record.content)
         elif record.opcode == Opcode.SCHEMA:
             self.copy_schema(Schema.read(stream))
         elif record.opcode == Opcode.CHANNEL:
@@ -230,9 +223,13 @@ class Copier:
         elif record.opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.writer.add_metadata(metadata.name, metadata.metadata)
-            self.result.metadata_records += 1
         elif record.opcode == Opcode.ATTACHMENT:
-            self.copy_attachment(record.content)
+            (crc,) = struct.unpack("<I", record.content[-4:])
+            if crc and zlib.crc32(record.content[:-4]) != crc:
+                raise ValueError("damaged attachment")
+            item = Attachment.read(stream)
+            times = item.create_time, item.log_time
+            self.writer.add_attachment(*times, item.name, item.media_type, item.data)
 
     def copy_message(self, content: bytes) -> None:
         """Copy a message, decompressed, so that the new bag needs no `compression_mode`."""
@@ -242,8 +239,8 @@ class Copier:
         channel, topic = self.channels[channel_id]
         data = uncompressed(content[MESSAGE.size :])
         self.writer.add_message(channel, log_time_ns, data, publish_time_ns, number)
-        self.result.extent.add(log_time_ns)
-        topic.extent.add(log_time_ns)
+        self.count += 1
+        self.result.last_ns[topic] = max(self.result.last_ns[topic], log_time_ns)
 
     def copy_channel_from_index(self, channel_id: int) -> None:
         """Copy a channel from the summary, because the chunk that introduced it is damaged.
@@ -262,40 +259,18 @@ class Copier:
         """Copy a schema, once."""
         if schema.id not in self.schemas:
             new_id = self.writer.register_schema(schema.name, schema.encoding, schema.data)
-            self.schemas[schema.id] = new_id, schema.name
+            self.schemas[schema.id] = new_id
 
     def copy_channel(self, channel: Channel) -> None:
         """Copy a channel, once."""
-        if channel.id in self.channels:
-            return
-        schema_id, type_name = self.schemas.get(channel.schema_id, (0, ""))
-        encoding, metadata = channel.message_encoding, channel.metadata
-        new_id = self.writer.register_channel(channel.topic, encoding, schema_id, metadata)
-        offers = offered_qos(metadata.get("offered_qos_profiles", ""))
-        type_hash = metadata.get("topic_type_hash", "")
-        topic = Topic(channel.topic, type_name, offers, type_hash, encoding)
-        self.channels[channel.id] = new_id, self.result.topics.setdefault(channel.topic, topic)
-
-    def copy_attachment(self, content: bytes) -> None:
-        """Copy an attachment."""
-        (crc,) = struct.unpack("<I", content[-4:])
-        if crc and zlib.crc32(content[:-4]) != crc:
-            raise ValueError("damaged attachment")
-        item = Attachment.read(ReadDataStream(io.BytesIO(content)))
-        times = item.create_time, item.log_time
-        self.writer.add_attachment(*times, item.name, item.media_type, item.data)
-        self.result.attachments += 1
+        if channel.id not in self.channels:
+            schema_id = self.schemas.get(channel.schema_id, 0)
+            encoding, metadata = channel.message_encoding, channel.metadata
+            new_id = self.writer.register_channel(channel.topic, encoding, schema_id, metadata)
+            self.channels[channel.id] = new_id, channel.topic
 
     def start(self, profile: str, library: str) -> None:
         """Write the header, once."""
         if not self.has_started:
             self.writer.start(profile, library)
         self.has_started = True
-
-
-def offered_qos(text: str) -> list[dict[str, Any]]:
-    """Convert the QoS profiles of a channel, of any version of rosbag2, to version 9."""
-    try:
-        return [dict(qos) for qos in dump_qos_v9(parse_qos(text))]
-    except (ReaderError, KeyError, TypeError):
-        return []

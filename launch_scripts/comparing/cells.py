@@ -79,11 +79,14 @@ class Cell(NamedTuple):
     @property
     def outcome(self) -> str:
         """Outcome of the drive in a few words."""
-        if self.kept:
-            return "driven"
         if self.numbers:
-            return f"lost at {self.lost_after:.1f} s"
+            return "driven" if self.kept else f"lost at {self.lost_after:.1f} s"
         return f"gave up at {self.gave_up_after:.1f} s" if self.gave_up_after else "refused"
+
+    @property
+    def hatch(self) -> str:
+        """Hatch of the heat map: lost, or without a drive."""
+        return "" if self.kept else "////" if self.numbers else "xxx"
 
 
 class TrueStateSimulation(Simulation):
@@ -108,10 +111,8 @@ def controller_of(contender: Contender, conditions: Conditions) -> Controller:
     Raises:
         ValueError: A file is missing or invalid, or its gains make the problem singular.
     """
-    choices = Choices(
-        contender.controller, conditions.vehicle, conditions.settings, contender.gain_table
-    )
-    return make_controller(choices)
+    _, controller, gains = contender
+    return make_controller(Choices(controller, conditions.vehicle, conditions.settings, gains))
 
 
 def build_simulation(conditions: Conditions, scenario: Scenario) -> TrueStateSimulation:
@@ -130,10 +131,8 @@ def build_simulation(conditions: Conditions, scenario: Scenario) -> TrueStateSim
 
 def drive_cell(contender: Contender, scenario: Scenario, conditions: Conditions) -> Cell:
     """Drive one cell; a controller that raises a ValueError ends the drive with this reason."""
-    controller, simulation = (
-        controller_of(contender, conditions),
-        build_simulation(conditions, scenario),
-    )
+    controller = controller_of(contender, conditions)
+    simulation = build_simulation(conditions, scenario)
     try:
         steered = drive(simulation, controller)
     except ValueError as error:

@@ -1,11 +1,13 @@
 """Messages from a car to its controller, and the state that a fault keeps about them."""
 
+import dataclasses
 from collections import deque
 from typing import Any, NamedTuple
 
+from ampc_msgs_config.topics import MAP
+
 ODOM, STEERING, PATH, NODE = "odom", "steering_state", "reference_path", "controller"
 """Targets of a fault; the last one is the controller itself, which has no messages."""
-MAP = "map"
 KEPT = 1000
 """Number of messages in the history of a topic."""
 
@@ -31,37 +33,33 @@ class Window(NamedTuple):
     start_ns: int
     end_ns: int
 
-    def holds(self, now_ns: int) -> bool:
-        """Check whether the fault is active at a time [ns]."""
-        return self.start_ns <= now_ns < self.end_ns
 
-    def share(self, now_ns: int) -> float:
-        """Return the elapsed share of the interval, in [0, 1)."""
-        return (now_ns - self.start_ns) / (self.end_ns - self.start_ns)
-
-
-class Memory:
+@dataclasses.dataclass
+class FaultState:
     """State of one fault: interval, amount, random generator, and earlier messages."""
 
-    def __init__(self, window: Window, amount: float, field: str, rng: Any) -> None:
-        """Start without messages.
-
-        Args:
-            window: Interval of the fault.
-            amount: Size of the fault; meaning and unit depend on its kind.
-            field: Field of the state, for kinds that change a single number.
-            rng: numpy Generator, the only source of randomness.
-        """
-        self.window, self.amount, self.field, self.rng = window, amount, field, rng
-        self.history: dict[str, deque[Message]] = {}
-        """Newest earlier messages by topic; shared by all faults of an injector."""
-        self.held: dict[str, Message] = {}
-        """Last message before the fault, by topic."""
-        self.latest_ns = 0
-        """Arrival of the last message that was delivered in order [ns]."""
-        self.begun = False
+    kind: str
+    window: Window
+    amount: float
+    """Size of the fault; meaning and unit depend on its kind."""
+    field: str
+    """Field of the vehicle state, for kinds that change a single number."""
+    rng: Any
+    """numpy Generator, the only source of randomness."""
+    history: dict[str, deque[Message]]
+    """Newest earlier messages by topic; shared by all faults of an injector."""
+    held: dict[str, Message] = dataclasses.field(default_factory=dict)
+    """Last message before the fault, by topic."""
+    latest_ns: int = 0
+    """Arrival of the last message that was delivered in order [ns]."""
+    begun: bool = False
 
     def last(self, message: Message) -> Message:
         """Return the last message of this topic before the fault, or this one if it is first."""
         before = self.history.get(message.topic)
         return self.held.setdefault(message.topic, before[-1] if before else message)
+
+    def elapsed(self, message: Message) -> float:
+        """Return the elapsed share of the interval when a message arrives, in [0, 1)."""
+        start_ns, end_ns = self.window
+        return (message.arrival_ns - start_ns) / (end_ns - start_ns)

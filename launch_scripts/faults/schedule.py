@@ -12,8 +12,8 @@ import numpy as np
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_msgs_config.validation import Checked, check_range, choice, described, number
-from launch_scripts.faults.kinds import KINDS
-from launch_scripts.faults.messages import KEPT, Memory, Message, Window
+from launch_scripts.faults.kinds import FAULT_KINDS
+from launch_scripts.faults.messages import KEPT, FaultState, Message, Window
 
 SEED = number(0, 2**31 - 1, "", "Seed of the faults.")
 
@@ -22,7 +22,7 @@ SEED = number(0, 2**31 - 1, "", "Seed of the faults.")
 class Fault(Checked):
     """One fault; times count from the start of the drive."""
 
-    kind: Annotated[str, choice(tuple(KINDS), "Kind of the fault.")]
+    kind: Annotated[str, choice(tuple(FAULT_KINDS), "Kind of the fault.")]
     start: Annotated[float, number(0.0, 1.0e5, "s", "Time at which the fault begins.")]
     duration: Annotated[float, number(1.0e-3, 1.0e5, "s", "Duration of the fault.")]
     amount: (
@@ -41,7 +41,7 @@ class Fault(Checked):
     def __post_init__(self) -> None:
         """Check the fields by the bounds of the kind, and set its default amount."""
         super().__post_init__()
-        allowed = KINDS[self.kind].amount
+        allowed = FAULT_KINDS[self.kind].amount
         if allowed is None:
             if self.amount is not None:
                 raise ValueError(f"amount = {self.amount!r} is not allowed: {self.kind} has none")
@@ -59,71 +59,69 @@ class Fault(Checked):
     @property
     def mirrored(self) -> "Fault":
         """Fault with left and right exchanged."""
-        if self.amount is None or not KINDS[self.kind].sided:
+        if self.amount is None or not FAULT_KINDS[self.kind].sided:
             return self
         return replace(self, amount=-self.amount)
 
 
-class Plan(NamedTuple):
+class FaultSchedule(NamedTuple):
     """Faults of a drive."""
 
     faults: Annotated[tuple[Fault, ...], described("Faults.", most=10_000)]
     seed: Annotated[int, SEED] = 0
 
 
-def load_plan(name: str) -> Plan:
+def load_faults(name: str) -> FaultSchedule:
     """Load a fault file by shipped name or path.
 
     Raises:
         ValueError: File, key, value and bound.
     """
-    return load(Plan, find("faults", name))
-
-
-class Active(NamedTuple):
-    """A fault with its state."""
-
-    fault: Fault
-    memory: Memory
+    return load(FaultSchedule, find("faults", name))
 
 
 class Injector:
-    """Queue of messages that applies a plan of faults.
+    """Queue of messages that applies a schedule of faults.
 
-    The same plan and the same messages give the same result. Each fault has its own random
+    The same schedule and the same messages give the same result. Each fault has its own random
     generator, so an additional fault does not change the others.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, schedule: FaultSchedule) -> None:
         """Start without messages at the start of a drive."""
-        faults = []
-        for i, fault in enumerate(plan.faults):
-            rng = np.random.default_rng([plan.seed, i])
-            memory = Memory(fault.window, fault.amount or 0.0, fault.field, rng)
-            faults.append(Active(fault, memory))
-        self.later = sorted(faults, key=lambda each: each.fault.start, reverse=True)
-        """Future faults, the next one last."""
-        self.current: list[Active] = []
         self.history: dict[str, deque[Message]] = {}
+        faults = [
+            FaultState(
+                fault.kind,
+                fault.window,
+                fault.amount or 0.0,
+                fault.field,
+                np.random.default_rng([schedule.seed, i]),
+                self.history,
+            )
+            for i, fault in enumerate(schedule.faults)
+        ]
+        self.later = sorted(faults, key=lambda each: each.window.start_ns, reverse=True)
+        """Future faults, the next one last."""
+        self.current: list[FaultState] = []
         self.waiting: list[tuple[int, int, Message]] = []
         """Heap of arrival [ns], order of insertion, and message."""
         self.order = count()
 
-    def faults(self, now_ns: int) -> list[Active]:
+    def active(self, now_ns: int) -> list[FaultState]:
         """Return the active faults; time must not decrease between calls [ns]."""
-        while self.later and self.later[-1].memory.window.start_ns <= now_ns:
+        while self.later and self.later[-1].window.start_ns <= now_ns:
             self.current.append(self.later.pop())
-        self.current = [each for each in self.current if each.memory.window.holds(now_ns)]
+        self.current = [each for each in self.current if now_ns < each.window.end_ns]
         return self.current
 
     def put(self, message: Message) -> None:
         """Apply the active faults to a message and queue the result."""
         messages: Sequence[Message] = [message]
-        for fault, memory in self.faults(message.arrival_ns):
-            kind = KINDS[fault.kind]
+        for fault in self.active(message.arrival_ns):
+            kind = FAULT_KINDS[fault.kind]
             if kind.change and message.topic in kind.topics:
-                memory.history = self.history
-                messages = [out for each in messages for out in kind.change(each, memory)]
+                messages = [out for each in messages for out in kind.change(each, fault)]
         for each in messages:
             heapq.heappush(self.waiting, (each.arrival_ns, next(self.order), each))
         self.history.setdefault(message.topic, deque(maxlen=KEPT)).append(message)
@@ -142,10 +140,9 @@ class Injector:
 
     def is_on(self, kind: str, now_ns: int) -> bool:
         """Check whether a fault of a kind is active [ns]."""
-        return any(each.fault.kind == kind for each in self.faults(now_ns))
+        return any(each.kind == kind for each in self.active(now_ns))
 
     def clock_ns(self, now_ns: int) -> int:
         """Return the time of the controller's own clock [ns]."""
-        faults = (each.fault for each in self.faults(now_ns))
-        jumps = (fault.amount or 0.0 for fault in faults if fault.kind == "clock_jump")
+        jumps = (each.amount for each in self.active(now_ns) if each.kind == "clock_jump")
         return now_ns + round(sum(jumps) * NANOSECONDS)

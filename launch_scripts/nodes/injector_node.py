@@ -22,13 +22,18 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
-from launch_scripts.faults.schedule import Injector, load_plan
+from launch_scripts.faults.schedule import Injector, load_faults
 
-PERIOD = 0.005
+CHECK_PERIOD = 0.005
 """Period of the check for delayed messages [s]."""
 PATH_PERIOD = 0.5
 """Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
-TYPES = {ODOM: Odometry, STEERING: JointState, PATH: PathMessage}
+INPUT_TYPES = {
+    ODOM: (Odometry, ros.RELIABLE),
+    STEERING: (JointState, ros.RELIABLE),
+    PATH: (PathMessage, ros.LATCHED),
+}
+"""Type and QoS of the topics that faults change."""
 
 
 class InjectorNode(BaseNode):
@@ -41,32 +46,29 @@ class InjectorNode(BaseNode):
             ValueError: The schedule is invalid, or needs a clock that a node cannot change.
         """
         super().__init__("injector")
-        plan = load_plan(declare(self, "faults", "example", "name of shipped faults, or YAML file"))
+        schedule = load_faults(
+            declare(self, "faults", "example", "name of shipped faults, or YAML file")
+        )
         if self.lock_step:
             raise ValueError("faults need real time: lock_step must be false")
-        if any(fault.kind == "clock_jump" for fault in plan.faults):
+        if any(fault.kind == "clock_jump" for fault in schedule.faults):
             raise ValueError(
                 "faults: kind = clock_jump works only in the offline fault matrix; use stamp_jump"
             )
-        self.injector = Injector(plan)
+        self.injector = Injector(schedule)
         self.start_ns = -1
         self.qp_fails = False
         self.path: PathMessage | None = None
-        self.outputs = {topic: self.output(topic) for topic in TYPES}
-        for topic, kind in TYPES.items():
-            qos = ros.LATCHED if topic == PATH else ros.RELIABLE
+        self.outputs: dict[str, Any] = {}
+        for topic, (kind, qos) in INPUT_TYPES.items():
+            self.outputs[topic] = self.create_publisher(kind, ros.FAULTY + topic, qos)
             self.create_subscription(kind, topic, partial(self.on_message, topic), qos)
         self.create_subscription(JointState, ros.STEERING_COMMAND, self.on_command, ros.COMMAND)
         self.controller = AsyncParameterClient(self, "controller")
-        self.create_timer(PERIOD, self.on_timer)
+        self.create_timer(CHECK_PERIOD, self.on_timer)
         self.create_timer(PATH_PERIOD, self.on_path_timer)
         self.create_timer(1.0, self.on_diagnostics)
-        self.get_logger().info(f"ready: {len(plan.faults)} faults")
-
-    def output(self, topic: str) -> Any:
-        """Create the publisher of a faulty topic."""
-        qos = ros.LATCHED if topic == PATH else ros.RELIABLE
-        return self.create_publisher(TYPES[topic], ros.FAULTY + topic, qos)
+        self.get_logger().info(f"ready: {len(schedule.faults)} faults")
 
     @property
     def since_ns(self) -> int:
@@ -106,7 +108,7 @@ class InjectorNode(BaseNode):
 
     def on_diagnostics(self) -> None:
         """Report the active faults."""
-        active = [each.fault.kind for each in self.injector.faults(self.since_ns)]
+        active = [each.kind for each in self.injector.active(self.since_ns)]
         self.report(self.now_ns, f"injected: {', '.join(active)}" if active else "", {})
 
 
@@ -116,43 +118,35 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
     Raises:
         ValueError: The message is invalid without any fault.
     """
-    stamp_ns = ros.nanoseconds(message.header.stamp)
     if topic == ODOM:
-        return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message))
-    if topic == PATH:
-        return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)))
-    return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message).value)
+        value: Any = ros.vehicle_state(message)
+    elif topic == PATH:
+        value = np.array(ros.path_points(message))
+    else:
+        value = ros.steering_angle(message).value
+    return Message(topic, arrival_ns, ros.nanoseconds(message.header.stamp), value)
 
 
 def pack(message: Message) -> Any:
-    """Pack a message for the controller."""
+    """Pack a message for the controller; a path may have no or a single point."""
+    stamp_ns, value = message.stamp_ns, message.value
+    if message.topic == STEERING:
+        return ros.joint_message(stamp_ns, value, 0.0)
     if message.topic == ODOM:
-        result = odometry(message)
-    elif message.topic == PATH:
-        result = path(message)
+        result = ros.odometry_message(value._replace(stamp_ns=stamp_ns))
+        orientation = result.pose.pose.orientation
+        orientation.z, orientation.w = (
+            orientation.z * message.length,
+            orientation.w * message.length,
+        )
+    elif len(value) > 1:
+        result = ros.path_message(value, stamp_ns)
     else:
-        result = ros.joint_message(message.stamp_ns, message.value, 0.0)
-    result.header.frame_id = message.frame_id if message.topic != STEERING else ros.BASE_LINK
-    return result
-
-
-def odometry(message: Message) -> Odometry:
-    """Pack a state; the fault determines the norm of the quaternion."""
-    result = ros.odometry_message(message.value._replace(stamp_ns=message.stamp_ns))
-    orientation = result.pose.pose.orientation
-    orientation.z, orientation.w = orientation.z * message.length, orientation.w * message.length
-    return result
-
-
-def path(message: Message) -> PathMessage:
-    """Pack a path, including one without or with a single point."""
-    if len(message.value) > 1:
-        return ros.path_message(message.value, message.stamp_ns)
-    result = PathMessage()
-    result.header.stamp = ros.time_message(message.stamp_ns)
-    result.poses = [PoseStamped() for _ in message.value]
-    for pose, (x, y) in zip(result.poses, message.value.tolist(), strict=True):
-        pose.pose.position.x, pose.pose.position.y = x, y
+        result = PathMessage(poses=[PoseStamped() for _ in value])
+        result.header.stamp = ros.time_message(stamp_ns)
+        for pose, (x, y) in zip(result.poses, value.tolist(), strict=True):
+            pose.pose.position.x, pose.pose.position.y = x, y
+    result.header.frame_id = message.frame_id
     return result
 
 

@@ -54,25 +54,21 @@ def replay_ticks(
             supervisor = Supervisor(config[number], number=number, resets=resets)
         elif number != supervisor.number:
             supervisor.reconfigure(config[number])
-        replay_inputs(supervisor, tick)
+        # inputs, as they were accepted
+        values = tick.values
+        state = Received(tick.state, tick.state.stamp_ns, tick.ago_ns("state_silence"))
+        supervisor.replay_state(state, int(values.get("resets", 0)))
+        supervisor.take_path(tick.path.points, tick.path.stamp_ns, tick.ago_ns("path_silence"))
+        if not math.isnan(values.get("measured_steering", math.nan)):
+            supervisor.take_steering(values["measured_steering"])
+        supervisor.inject_qp_fault(values.get("qp_fault", 0.0) > 0)
+        if not values.get("stop_requested", 1.0) > 0:  # taken back by the service ~/reset_stop
+            supervisor.clear_stop()
         record = supervisor.tick(tick.now_ns)
         assert record is not None  # state and path are set
         if synchronised:
             supervisor.correct(tick.values["steering"])
         yield record
-
-
-def replay_inputs(supervisor: Supervisor, tick: RecordedTick) -> None:
-    """Set the inputs of a tick, as they were accepted."""
-    values = tick.values
-    state = Received(tick.state, tick.state.stamp_ns, tick.ago_ns("state_silence"))
-    supervisor.replay_state(state, int(values.get("resets", 0)))
-    supervisor.take_path(tick.path.points, tick.path.stamp_ns, tick.ago_ns("path_silence"))
-    if not math.isnan(values.get("measured_steering", math.nan)):
-        supervisor.take_steering(values["measured_steering"])
-    supervisor.inject_qp_fault(values.get("qp_fault", 0.0) > 0)
-    if not values.get("stop_requested", 1.0) > 0:  # taken back by the service ~/reset_stop
-        supervisor.clear_stop()
 
 
 def differences(tick: RecordedTick, record: TickRecord, tolerance: float) -> list[Difference]:

@@ -1,31 +1,32 @@
-"""A recorded drive with its metrics: `BagColumns` of a bag -> `JudgedDrive` of the report."""
+"""A recorded drive with its metrics and verdicts: `BagColumns` of a bag -> `JudgedDrive`."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import topics
 from ampc_msgs_config.config import build
 from ampc_msgs_config.metrics import Drive, DriveRecord, Value, errors, measure
 from ampc_msgs_config.parameters import (
+    FRICTION_SHARE,
+    GRAVITY,
     ChassisParameters,
     ControllerSettings,
     GuardLimits,
     SizeParameters,
     SteeringParameters,
+    cornering_angle,
 )
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import Array, VehicleState
-from ampc_msgs_config.validation import Checked
-from ampc_ros.mpc.internal_model import limits_of
-from ampc_ros.preview.model import angle_bound
-from ampc_ros.preview.nominal_steering import FRICTION_SHARE
+from ampc_msgs_config.types import RUNGS, Array
+from ampc_msgs_config.validation import Checked, number, units_of
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-from launch_scripts.reporting.summary import SUMMARY, Thresholds, Verdict, check_thresholds
 
 if TYPE_CHECKING:
     from sim_vehicle.parameters import Vehicle
@@ -35,17 +36,101 @@ NO_POINTS = np.empty((0, 2))
 INDEX_RANGE = (-1.0, 1000.0)
 """Range to which indices of rungs, reasons and limits are clipped before they become integers."""
 MISSING = {
-    ros.STEERING_COMMAND: "no steering_command: no steering metrics, every state counts as a tick",
-    ros.REFERENCE_PATH: "no reference_path: no tracking errors",
-    ros.TARGET_SPEED: "no target_speed",
-    ros.STEERING_STATE: "no steering_state: no measured angle",
-    ros.WIND: "no wind",
+    topics.STEERING_COMMAND: "no steering_command: no steering metrics, "
+    "every state counts as a tick",
+    topics.REFERENCE_PATH: "no reference_path: no tracking errors",
+    topics.TARGET_SPEED: "no target_speed",
+    topics.STEERING_STATE: "no steering_state: no measured angle",
+    topics.WIND: "no wind",
 }
 """Consequence of each missing topic."""
 OUTLINE = SizeParameters(width=1.8, front_overhang=0.9, rear_overhang=1.0)
 """Assumed size of a car that the bag does not describe."""
 WHEELBASE = 2.7
 """Assumed wheelbase of a car that the bag does not describe [m]."""
+SUMMARY = (
+    *("duration", "distance"),
+    *("rms_cross_track_error", "p95_cross_track_error", "max_cross_track_error"),
+    *("rms_heading_error", "max_lateral_acceleration", "max_steering", "steering_effort"),
+    *("steering_reversals", "steering_reversal_rate"),
+    *("time_at_limit", "time_constrained", "time_clipped", "ticks", "missed_ticks"),
+    *("fall_backs", *(f"rung_{name}" for name in RUNGS), "unsolved_ticks", "stop_requests"),
+    *("solve_time_median", "solve_time_p99", "solve_time_max"),
+)
+"""Keys of the metrics of a report, in the order of its summary."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds(Checked):
+    """Largest values that pass, SI, with the names of the metrics; `min_`: smallest values."""
+
+    rms_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    p95_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    max_cross_track_error: Annotated[float, number(0.0, math.inf, "m")] = math.inf
+    rms_heading_error: Annotated[float, number(0.0, math.inf, "rad")] = math.inf
+    max_lateral_acceleration: Annotated[float, number(0.0, math.inf, "m/s^2")] = math.inf
+    max_steering: Annotated[float, number(0.0, math.inf, "rad")] = math.inf
+    steering_effort: Annotated[float, number(0.0, math.inf, "rad per tick")] = math.inf
+    steering_reversals: Annotated[float, number(0.0, math.inf, "")] = math.inf
+    steering_reversal_rate: Annotated[float, number(0.0, math.inf, "1/s")] = math.inf
+    time_at_limit: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    time_constrained: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    time_clipped: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    missed_ticks: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    fall_backs: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    unsolved_ticks: Annotated[float, number(0.0, math.inf, "ticks")] = math.inf
+    stop_requests: Annotated[float, number(0.0, math.inf, "")] = math.inf
+    solve_time_median: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    solve_time_p99: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    solve_time_max: Annotated[float, number(0.0, math.inf, "s")] = math.inf
+    min_duration: Annotated[float, number(0.0, math.inf, "s")] = 0.0
+    min_distance: Annotated[float, number(0.0, math.inf, "m")] = 0.0
+
+
+class Verdict(NamedTuple):
+    """Result of one threshold for one drive."""
+
+    threshold: str
+    quantity: str
+    limit: float
+    at_least: bool
+    value: Value
+    """None: the bag lacks the data, which fails."""
+    unit: str
+    """SI."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within the limit."""
+        if self.value is None or not math.isfinite(self.value):
+            return False
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+    @property
+    def measured(self) -> str:
+        """The value with its unit, as text."""
+        if self.value is None:
+            return "not in the bag"
+        return f"{self.value:.4g} {self.unit}".strip()
+
+    @property
+    def bound(self) -> str:
+        """The limit with its relation and unit, as text."""
+        sign = "\u2265" if self.at_least else "\u2264"
+        return f"{sign} {self.limit:.6g} {self.unit}".strip()
+
+
+def check_thresholds(thresholds: Thresholds, metrics: Mapping[str, Value]) -> list[Verdict]:
+    """Return a verdict for each threshold that differs from its default."""
+    result, units = [], units_of(Thresholds)
+    for item in fields(thresholds):
+        limit = getattr(thresholds, item.name)
+        if limit != item.default:
+            at_least = item.name.startswith("min_")
+            name = item.name.removeprefix("min_")
+            unit = units[item.name]
+            result.append(Verdict(item.name, name, limit, at_least, metrics[name], unit))
+    return result
 
 
 class RunContext(NamedTuple):
@@ -79,12 +164,15 @@ class RunContext(NamedTuple):
         """Return the controller's bound of the angle at speeds (n,) [m/s], in [rad]."""
         if self.settings is None:
             return None
-        limits = limits_of(self.settings, self.steering)
+        largest = self.settings.max_angle
+        if self.steering is not None:
+            largest = min(largest, self.steering.max_angle)
         if self.chassis is None or self.controller != "preview":
-            return np.full(len(speed), limits.u_max)
-        row = (*vars(self.chassis).values(),)
-        most = FRICTION_SHARE * limits.mu_g
-        return np.array([angle_bound(row, v, limits.u_max, most) for v in speed.tolist()])
+            return np.full(len(speed), largest)
+        wheelbase, gradient = self.chassis.wheelbase, self.chassis.understeer_gradient
+        most = FRICTION_SHARE * (self.settings.friction * GRAVITY)
+        angles = [cornering_angle(wheelbase, gradient, v, most) for v in speed.tolist()]
+        return np.minimum(angles, largest)
 
     def guard_bound(self, speed: Array) -> Array | None:
         """Return the guard's bound of the angle at speeds (n,) [m/s], in [rad]."""
@@ -112,6 +200,13 @@ class JudgedDrive(NamedTuple):
     """Result of each threshold that was set."""
     notes: list[str]
     """Missing or unusual data, one sentence each."""
+
+    @property
+    def centres(self) -> Array:
+        """Positions of the centre of gravity at all ticks (n, 2) [m]."""
+        x, y, yaw = self.states[:, :3].T
+        to_cg = self.context.to_cg
+        return np.column_stack((x + to_cg * np.cos(yaw), y + to_cg * np.sin(yaw)))
 
 
 def judge_bag(
@@ -150,14 +245,12 @@ def judge_columns(
     if len(rows) < 2:
         raise ValueError(f"{columns.bag}: {len(rows)} usable states, 2 are needed")
     time, states = rows[:, 0], rows[:, 1:]
-    settings = context.settings
-    period = settings.sample_time if settings else float(np.median(np.diff(time)))
-    error = errors_of(columns, states_of(rows, columns.start_ns), time, context.to_cg, notes)
-    tick = {"stop_requested": columns.values.get(ros.STOP_REQUEST, NO_POINTS), **columns.tick}
+    error = errors_of(columns, rows, context.to_cg, notes)
     valid = error[np.isfinite(error[:, 0])]
+    tick = {"stop_requested": columns.values.get(topics.STOP_REQUEST, NO_POINTS), **columns.tick}
     record = DriveRecord(
         time,
-        period,
+        context.settings.sample_time if context.settings else float(np.median(np.diff(time))),
         valid[:, 0],
         valid[:, 1],
         speed=states[:, 3],
@@ -177,15 +270,15 @@ def missing(columns: BagColumns) -> list[str]:
     absent = [text for topic, text in MISSING.items() if topic not in columns.values]
     if not columns.tick:
         absent.append("no controller/tick: no gains, constraints, solve time and faults")
-    elif ros.TICK not in columns.values:
+    elif topics.TICK not in columns.values:
         absent.append("no controller/tick: no faults, fallbacks and guard")
     return [f"The bag contains {'; '.join(absent)}."] if absent else []
 
 
 def tick_rows(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     """Return time and state of each tick (n, 7), and the commanded angle (n,) [rad]."""
-    odom = columns.values[ros.ODOM]
-    commands = columns.values.get(ros.STEERING_COMMAND, NO_POINTS)
+    odom = columns.values[topics.ODOM]
+    commands = columns.values.get(topics.STEERING_COMMAND, NO_POINTS)
     if not len(commands):
         return odom[np.diff(odom[:, 0], prepend=-np.inf) > 0], np.empty(0)
     rows, steering = answered(odom, commands)
@@ -199,15 +292,12 @@ def tick_rows(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     return rows, commands[:, 1]
 
 
-def errors_of(
-    columns: BagColumns, states: list[VehicleState], time: Array, to_cg: float, notes: list[str]
-) -> Array:
+def errors_of(columns: BagColumns, rows: Array, to_cg: float, notes: list[str]) -> Array:
     """Return the errors of each tick from the path valid at its time (n, 2); nan without a path."""
+    time, states = rows[:, 0], states_of(rows, columns.start_ns)
     result = np.full((len(time), 2), np.nan)
-    begins = np.array([path.time for path in columns.paths])
-    for k, path in enumerate(columns.paths):
-        begin = np.searchsorted(time, path.time) if k else 0
-        end = np.searchsorted(time, begins[k + 1]) if k + 1 < len(begins) else len(time)
+    begins = [0, *(int(np.searchsorted(time, path.time)) for path in columns.paths[1:]), len(time)]
+    for path, begin, end in zip(columns.paths, begins, begins[1:], strict=False):
         if begin == end:
             continue
         part = Drive(states[begin:end], time[begin:end], time[:0])
@@ -241,8 +331,11 @@ def run_context_of(
             f"The bag contains no controller/configuration: vehicle, settings and bounds {source}."
         )
     chassis = read_section(ChassisParameters, control, "chassis", notes)
-    chassis = chassis or (vehicle and vehicle.chassis)
-    size = read_section(SizeParameters, simulated, "size", notes) or (vehicle and vehicle.size)
+    steering = read_section(SteeringParameters, control, "steering", notes)
+    size = read_section(SizeParameters, simulated, "size", notes)
+    if vehicle is not None:
+        chassis, steering = chassis or vehicle.chassis, steering or vehicle.steering
+        size = size or vehicle.size
     if size is None:
         notes.append("The bag contains no size of the car: its outline on the map is assumed.")
     versions = np.unique(columns.tick.get("configuration", np.zeros((1, 2)))[:, 1])
@@ -257,12 +350,11 @@ def run_context_of(
             notes.append(
                 "Errors are those of the point that odom describes (centre of gravity unknown)."
             )
-    steering = read_section(SteeringParameters, control, "steering", notes)
     return RunContext(
         str(control.get("controller", controller)),
         str(control.get("version", "")),
         chassis,
-        steering or (vehicle and vehicle.steering),
+        steering,
         read_section(ControllerSettings, control, "settings", notes) or settings,
         size,
         read_section(GuardLimits, control, "guard", notes),

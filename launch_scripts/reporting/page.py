@@ -1,11 +1,12 @@
-"""Report page: one HTML file that contains tables, charts and the script that plays the drive."""
+"""Report page: one HTML file with tables, charts and the script that plays the drive, and JSON."""
 
 import base64
 import gzip
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plotly
@@ -15,15 +16,12 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.metrics import METRICS, NOTES, Value
+from ampc_msgs_config.metrics import METRICS
 from ampc_msgs_config.types import RUNGS
-from launch_scripts.reporting.drive import JudgedDrive
-from launch_scripts.reporting.events import EVENTS, draw_events
-from launch_scripts.reporting.lines import PALETTE
-from launch_scripts.reporting.map import OLDEST, draw_map
-from launch_scripts.reporting.pages import num, render
-from launch_scripts.reporting.panels import PANELS, Panel, draw_panel
-from launch_scripts.reporting.summary import SUMMARY
+from launch_scripts.reporting.charts import OLDEST, draw_events, draw_map, draw_panel
+from launch_scripts.reporting.drive import SUMMARY, JudgedDrive
+from launch_scripts.reporting.pages import render, to_json
+from launch_scripts.reporting.panels import EVENTS, PALETTE, PANELS, Panel
 
 MAX_BYTES = 2_950_000
 """Largest size of the page."""
@@ -34,35 +32,64 @@ YEAR_2000 = 946_684_800
 """Earlier stamps are times of a simulation, not dates [s]."""
 MAX_CONFIGURATION = 60_000
 """Longest part of a configuration that is shown [characters]."""
+CUT = "\n... truncated; complete in the JSON file"
 Rows = list[list[Any]]
 
 
-class Chart(NamedTuple):
-    """A panel with its chart."""
+def write_report(file: Path, drives: Sequence[JudgedDrive], thresholds: str, command: str) -> None:
+    """Write the page, and next to it the metrics as JSON.
 
-    panel: Panel
-    figure: go.Figure
+    Args:
+        file: HTML file to write.
+        drives: Content.
+        thresholds: Name of the file of thresholds, or nothing.
+        command: Text that names the command.
 
-    @property
-    def alt(self) -> str:
-        """Description for readers who cannot see the chart: each line with its range."""
-        names = list(dict.fromkeys(line.name for line in self.figure.data))
-        if self.panel is not EVENTS:
-            names = []
-            for line in self.figure.data:
-                values = np.array([v for v in line.y if v is not None], dtype=float)
-                if len(values):
-                    names.append(f"{line.name} from {values.min():.3g} to {values.max():.3g}")
-        return f"{self.panel.title} over time. {'; '.join(names)}."
+    Raises:
+        OSError: The file cannot be written.
+        ValueError: The page would be too large.
+    """
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    page = report_page(drives, thresholds, f"{command}, {now}")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(page, encoding="utf-8")
+    content = to_json(report_json(drives, thresholds))
+    text = json.dumps(content, indent=2, allow_nan=False, default=str)
+    file.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+
+
+def all_passed(drives: Sequence[JudgedDrive]) -> bool | None:
+    """Return whether all thresholds pass; None without thresholds."""
+    verdicts = [verdict for drive in drives for verdict in drive.verdicts]
+    return all(verdict.passed for verdict in verdicts) if verdicts else None
+
+
+def report_json(drives: Sequence[JudgedDrive], thresholds: str) -> dict[str, Any]:
+    """Return all numbers of the page, in SI units."""
+    return {
+        "version": __version__,
+        "passed": all_passed(drives),
+        "thresholds": thresholds or None,
+        "drives": [
+            {
+                "name": drive.name,
+                "bag": str(drive.columns.bag),
+                "namespace": drive.columns.namespace,
+                "start_ns": drive.columns.start_ns,
+                "controller": drive.context.controller or None,
+                "period": drive.record.period,
+                "summary": drive.metrics,
+                "verdicts": [each._asdict() | {"passed": each.passed} for each in drive.verdicts],
+                "notes": drive.notes,
+                "configuration": drive.columns.configuration,
+            }
+            for drive in drives
+        ],
+    }
 
 
 def report_page(drives: Sequence[JudgedDrive], thresholds: str, command: str) -> str:
     """Return the page, with as many points per line as its size allows.
-
-    Args:
-        drives: One or several drives.
-        thresholds: Name of the file of thresholds, or nothing.
-        command: Text that names the command and the time of the report.
 
     Raises:
         ValueError: The page would exceed `MAX_BYTES`.
@@ -78,38 +105,64 @@ def report_page(drives: Sequence[JudgedDrive], thresholds: str, command: str) ->
 
 def fill_page(drives: Sequence[JudgedDrive], thresholds: str, command: str, points: int) -> str:
     """Return the page with about `points` points per line."""
-    charts = [Chart(panel, draw_panel(panel, drives, points)) for panel in PANELS]
+    # Charts; all share the time axis.
+    drawn = [(panel, draw_panel(panel, drives, points)) for panel in PANELS]
+    empty = [panel.title for panel, figure in drawn if not figure.data]
+    charts = [(panel, figure) for panel, figure in drawn if figure.data]
     events = draw_events(drives)
-    drawn = [chart for chart in charts if chart.figure.data]
     if events is not None:
-        drawn.append(Chart(EVENTS, events))
+        charts.append((EVENTS, events))
+    begin = min(float(drive.record.time[0]) for drive in drives)
+    end = max(float(drive.record.time[-1]) for drive in drives)
+    for _, figure in charts:
+        figure.update_xaxes(range=[begin, end])
+    # Input of the script
+    figure, moving = draw_map(drives, points)
+    data = {
+        "begin": begin,
+        "end": end,
+        "oldest": OLDEST,
+        "period": min(drive.record.period for drive in drives),
+        "rungs": [word.replace("_", " ") for word in RUNGS],
+        "map": figure.to_plotly_json(),
+        "drives": moving,
+        "plots": {panel.key: figure.to_plotly_json() for panel, figure in charts},
+    }
+    # Texts
     facts = [dict(facts_of(drive)) for drive in drives]
-    verdicts = [verdict for drive in drives for verdict in drive.verdicts]
+    titles = dict.fromkeys(title for each in facts for title in each)
     return render(
         "reporting/report.html",
         drives=drives,
         palette=PALETTE,
         thresholds=thresholds,
         verdict_rows=verdict_rows(drives),
-        judged=len(verdicts),
-        failed=sum(not verdict.passed for verdict in verdicts),
         summary=summary_rows(drives),
-        charts=drawn,
-        empty=[chart.panel.title for chart in charts if not chart.figure.data],
+        charts=[(panel, describe_chart(panel, figure)) for panel, figure in charts],
+        empty=empty,
         has_events=events is not None,
         has_ticks=any("rung" in drive.record.tick for drive in drives),
-        provenance=[
-            [key, *(each.get(key, NO_DATA) for each in facts)]
-            for key in dict.fromkeys(key for each in facts for key in each)
-        ],
+        provenance=[[title, *(each.get(title, NO_DATA) for each in facts)] for title in titles],
         configurations=[configuration_texts(drive) for drive in drives],
         points=points,
         command=command,
         version=__version__,
         plotly_version=plotly.__version__,
-        data=compress(json.dumps(page_data(drives, drawn, points), allow_nan=False)),
+        data=compress(json.dumps(data, allow_nan=False)),
         plotly=compress(get_plotlyjs()),
     )
+
+
+def describe_chart(panel: Panel, figure: go.Figure) -> str:
+    """Return text for readers who cannot see the chart: each line with its range."""
+    names = []
+    for line in figure.data:
+        values = np.array([v for v in line.y if v is not None], dtype=float)
+        if panel is EVENTS:
+            names.append(line.name)
+        elif len(values):
+            names.append(f"{line.name} from {values.min():.3g} to {values.max():.3g}")
+    return f"{panel.title} over time. {'; '.join(dict.fromkeys(names))}."
 
 
 def compress(text: str) -> str:
@@ -117,51 +170,21 @@ def compress(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
-def page_data(
-    drives: Sequence[JudgedDrive], charts: Sequence[Chart], points: int
-) -> dict[str, Any]:
-    """Return the input of the page's script."""
-    begin = min(float(drive.record.time[0]) for drive in drives)
-    end = max(float(drive.record.time[-1]) for drive in drives)
-    for chart in charts:
-        chart.figure.update_xaxes(range=[begin, end])
-    drawn_map = draw_map(drives, points)
-    return {
-        "begin": begin,
-        "end": end,
-        "oldest": OLDEST,
-        "period": min(drive.record.period for drive in drives),
-        "rungs": [word.replace("_", " ") for word in RUNGS],
-        "map": drawn_map.figure.to_plotly_json(),
-        "drives": drawn_map.drives,
-        "plots": {chart.panel.key: chart.figure.to_plotly_json() for chart in charts},
-    }
-
-
-def visible_metrics(drives: Sequence[JudgedDrive]) -> Iterator[tuple[str, list[Value]]]:
-    """Yield the key and the values of each metric that at least one drive has."""
-    for key in SUMMARY:
-        values = [drive.metrics[key] for drive in drives]
-        if any(value is not None for value in values):
-            yield key, values
-
-
 def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
-    """Return the rows of the metrics, one column per drive."""
+    """Return the rows of the metrics that at least one drive has: title, a cell per drive, unit."""
     rows: Rows = []
-    for key, values in visible_metrics(drives):
-        metric = METRICS[key]
-        note = Markup("<small>{}</small>").format(NOTES[key]) if key in NOTES else ""
-        cells = [
-            NO_DATA if v is None else num(v if isinstance(v, int) else v * metric.scale)
-            for v in values
-        ]
-        rows.append([[metric.title, note], *cells, metric.unit])
+    for metric in map(METRICS.__getitem__, SUMMARY):
+        values = [drive.metrics[metric.key] for drive in drives]
+        if any(value is not None for value in values):
+            shown = [v if isinstance(v, int) or v is None else v * metric.scale for v in values]
+            note = Markup("<small>{}</small>").format(metric.note) if metric.note else ""
+            cells = [NO_DATA if value is None else value for value in shown]
+            rows.append([[metric.title, note], *cells, metric.unit])
     return rows
 
 
 def verdict_rows(drives: Sequence[JudgedDrive]) -> Rows:
-    """Return the rows of the thresholds, one column per drive, in the units of their file."""
+    """Return the rows of the thresholds, a cell per drive, in the units of their file."""
     badge = Markup('<span class="verdict {0}">{0}</span>')
     return [
         [
@@ -210,9 +233,9 @@ def format_begin(start_ns: int) -> str:
 
 def configuration_texts(drive: JudgedDrive) -> dict[str, str]:
     """Return the YAML text of each node's configuration, truncated where it is very long."""
-    texts = {}
-    for node, content in drive.columns.configuration.items():
-        text = yaml.safe_dump(content, sort_keys=False, width=100)
-        cut = "" if len(text) <= MAX_CONFIGURATION else "\n... truncated; complete in the JSON file"
-        texts[node] = text[:MAX_CONFIGURATION] + cut
-    return texts
+    texts = {
+        node: yaml.safe_dump(content, sort_keys=False, width=100)
+        for node, content in drive.columns.configuration.items()
+    }
+    most = MAX_CONFIGURATION
+    return {node: text[:most] + (CUT if len(text) > most else "") for node, text in texts.items()}

@@ -1,18 +1,24 @@
-"""Self-contained HTML pages from the Jinja2 templates of this package.
+"""Output for readers: self-contained HTML pages, tables for terminal and Markdown, JSON values.
 
 `base.html` is the frame of every page, `macros.html` holds tables, figures and lists.
 """
 
+import argparse
 import base64
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
+from rich.console import JustifyMethod
+from rich.table import Table
+from rich.text import Text
 
 ROOT = Path(__file__).parents[1]
 """Folder of the templates; a template is named relative to it: `comparing/compare.html`."""
+FORMATS = ("csv", "svg", "pdf")
 Part = str | float
 """Text, which is escaped unless it is `Markup`, or a number, which is formatted by `num`."""
 
@@ -57,6 +63,63 @@ def text(parts: Part | Sequence[Part]) -> Markup:
     if isinstance(parts, (int, float)):
         return num(parts)
     return Markup("").join(text(part) for part in parts)
+
+
+def terminal_table(
+    heads: Sequence[str], rows: Iterable[Sequence[Any]], align: str, title: str = ""
+) -> Table:
+    """Return a table for the terminal; it shows the text of the cells of an HTML table.
+
+    Args:
+        heads: Titles of the columns.
+        rows: Cells; see `text`.
+        align: `l` or `r` for each column; the last letter holds for all further columns.
+        title: Text above the table.
+    """
+    table = Table(title=Text(title) if title else None, title_justify="left")
+    for head, letter in zip(heads, align + align[-1] * len(heads), strict=False):
+        justify: JustifyMethod = "right" if letter == "r" else "left"
+        table.add_column(Text(head), justify=justify, overflow="fold")
+    for row in rows:
+        cells = [Text(text(cell).striptags()) for cell in row]
+        for cell in cells:
+            cell.highlight_regex(r"^.*\*$|\bpass$", "bold green")
+            cell.highlight_regex(r"\bfail$|^(lost|gave up) at .*|^refused$", "bold red")
+        table.add_row(*cells)
+    return table
+
+
+def markdown_table(
+    heads: Sequence[str], rows: Iterable[Sequence[object]], align: str = "r"
+) -> list[str]:
+    """Return the lines of a table.
+
+    Args:
+        heads: Titles of the columns.
+        rows: Cells; each is converted by `str`.
+        align: `l` or `r` for the columns after the first, which is aligned to the left; the last
+            letter holds for all further columns.
+    """
+    letters = "l" + align + align[-1] * len(heads)
+    rule = ["---:" if letter == "r" else "---" for letter in letters[: len(heads)]]
+    lines = [[str(cell).replace("|", "\\|") for cell in row] for row in (heads, *rows)]
+    head, *body = [f"| {' | '.join(cells)} |" for cells in lines]
+    return [head, f"|{'|'.join(rule)}|", *body]
+
+
+def add_format_option(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add the option for further output files."""
+    text = f"further output files ({content}); default: none"
+    parser.add_argument("--format", nargs="+", choices=FORMATS, default=[], help=text)
+
+
+def to_json(value: Any) -> Any:
+    """Return a value with tuples as lists, and None in place of nan and infinity."""
+    if isinstance(value, dict):
+        return {key: to_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [to_json(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def source(file: str) -> Markup:

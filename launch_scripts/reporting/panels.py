@@ -1,4 +1,4 @@
-"""Panels of the report: charts over time.
+"""Panels of the report: quantities over time, and the events of a drive.
 
 To add a chart, write a function that yields the `Series` of one drive, and append a `Panel` with
 this function to `PANELS`:
@@ -12,32 +12,60 @@ The page, the SVG and PDF files, and the text for screen readers follow from thi
 without data is listed by its title.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
+from numpy.typing import NDArray
 
-from ampc_msgs_config import ros
-from ampc_msgs_config.types import Array
-from launch_scripts.reporting.drive import NO_POINTS, JudgedDrive
-from launch_scripts.reporting.lines import Series, color_of, thinned
+from ampc_msgs_config import topics
+from ampc_msgs_config.metrics import DEG
+from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS, Array
+from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito: distinct for colour-blind readers, without the yellow (invisible on white)."""
+GREY = "#767676"
+INDICES = {
+    "rung": ("rung", RUNGS),
+    "reason": ("reason", REASONS),
+    "clipped": ("guard clips", LIMITS),
+    "mode": ("mode", tuple(mode.partition(":")[0] for mode in MODES)),
+}
+"""Published indices: label, and the names, of which the first is normal."""
+FLAGS = {
+    "stop_requested": "stop requested",
+    "qp_fault": "injected QP fault",
+    "outside_table": "outside the gain table",
+}
+COUNTERS = {"rejected_inputs": "inputs rejected", "resets": "controller reset"}
+"""Published counters since the configuration of the controller."""
+
+
+class Series(NamedTuple):
+    """One line of a panel."""
+
+    label: str
+    """Displayed quantity; the same for all drives."""
+    time: Array
+    """(n,) since the first command [s]."""
+    values: Array
+    """(n,) in the unit of the axis."""
+    kind: int = 0
+    """Number of the line within its panel: decides its colour or dash."""
+    step: bool = False
+    """Whether a value holds until the next one."""
+    bound: bool = False
+    """Whether the line is a limit of the others."""
+
+    def color(self, drive: int, drives: int) -> str:
+        """Return the colour: by drive, or by kind where there is only one drive."""
+        if self.bound and drives == 1:
+            return GREY
+        return PALETTE[(drive if drives > 1 else self.kind) % len(PALETTE)]
+
 
 Lines = Callable[[JudgedDrive], Iterator[Series]]
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-ROW, FIRST_ROW, LEGEND = 120, 250, 50
-"""Height of further rows, of the first row, of a legend with many entries [px]."""
-
-
-LAYOUT = {
-    "template": "none",
-    "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
-    "paper_bgcolor": "white",
-    "plot_bgcolor": "white",
-}
-"""Layout of all figures of the page."""
 
 
 class Axis(NamedTuple):
@@ -61,80 +89,72 @@ class Panel(NamedTuple):
     axes: tuple[Axis, ...]
 
 
-def cross_track(drive: JudgedDrive) -> Iterator[Series]:
-    """Yield the cross-track error."""
-    if len(drive.record.error):
-        yield Series("cross-track error", drive.record.time, drive.errors[:, 0])
+def errors(label: str, column: int, scale: float = 1.0) -> Lines:
+    """Return the function that yields a column of the tracking errors in the unit of the axis."""
+
+    def lines(drive: JudgedDrive) -> Iterator[Series]:
+        if np.isfinite(drive.errors[:, column]).any():
+            yield Series(label, drive.record.time, drive.errors[:, column] * scale)
+
+    return lines
 
 
-def heading(drive: JudgedDrive) -> Iterator[Series]:
-    """Yield the heading error."""
-    if len(drive.record.heading):
-        yield Series("heading error", drive.record.time, np.degrees(drive.errors[:, 1]))
+def samples(
+    drive: JudgedDrive, name: str, label: str, kind: int = 0, scale: float = 1.0, column: int = 1
+) -> Iterator[Series]:
+    """Yield a column of a topic or of a published quantity, if it was recorded.
+
+    A quantity in SI holds until its next sample; see `Series` for the other arguments.
+    """
+    topic = drive.columns.values.get(name)
+    rows = drive.record.tick.get(name, NO_POINTS) if topic is None else topic
+    if len(rows):
+        step = topic is None and scale == 1.0
+        yield Series(label, rows[:, 0], scale * rows[:, column], kind, step)
 
 
 def steering(drive: JudgedDrive) -> Iterator[Series]:
     """Yield bounds, measured angle, angle before the guard, and command."""
-    time, speed = drive.record.time, drive.record.speed
+    time, tick = drive.record.time, drive.record.tick
     for name, kind, bound in (
         ("bound of the controller", 4, drive.record.angle_bound),
-        ("bound of the guard", 3, drive.context.guard_bound(speed)),
+        ("bound of the guard", 3, drive.context.guard_bound(drive.record.speed)),
     ):
         if bound is not None:
             for sign in (1.0, -1.0):
                 yield Series(name, time, sign * np.degrees(bound), kind, bound=True)
-    measured = topic(drive, ros.STEERING_STATE)
-    if len(measured):
-        yield Series("measured", measured[:, 0], np.degrees(measured[:, 1]), 1)
-    planned = drive.record.tick.get("planned_steering", NO_POINTS)
-    published = drive.record.tick.get("steering", planned)
-    if len(planned) and not np.array_equal(planned, published):
-        yield Series("before the guard", planned[:, 0], np.degrees(planned[:, 1]), 2)
+    yield from samples(drive, topics.STEERING_STATE, "measured", 1, DEG)
+    planned = tick.get("planned_steering", NO_POINTS)
+    if not np.array_equal(planned, tick.get("steering", planned)):
+        yield from samples(drive, "planned_steering", "before the guard", 2, DEG)
     if len(drive.record.steering):
         yield Series("command", time, np.degrees(drive.record.steering), 0)
 
 
 def speeds(drive: JudgedDrive) -> Iterator[Series]:
     """Yield target speed and measured speed."""
-    target, odom = topic(drive, ros.TARGET_SPEED), topic(drive, ros.ODOM)
-    if len(target):
-        yield Series("target", target[:, 0], target[:, 1], 1)
-    yield Series("speed", odom[:, 0], odom[:, 4], 0)
+    yield from samples(drive, topics.TARGET_SPEED, "target", 1)
+    yield from samples(drive, topics.ODOM, "speed", column=4)
 
 
 def lateral_acceleration(drive: JudgedDrive) -> Iterator[Series]:
     """Yield the product of speed and yaw rate."""
-    odom = topic(drive, ros.ODOM)
+    odom = drive.columns.values[topics.ODOM]
     yield Series("lateral acceleration", odom[:, 0], odom[:, 4] * odom[:, 6])
 
 
 def wind(drive: JudgedDrive) -> Iterator[Series]:
     """Yield both components in the fixed frame."""
-    rows = topic(drive, ros.WIND)
-    for k, name in enumerate(("to +x of the map", "to +y of the map")):
-        if len(rows):
-            yield Series(name, rows[:, 0], rows[:, k + 1], k)
-
-
-def topic(drive: JudgedDrive, name: str) -> Array:
-    """Return the rows of a topic, possibly none."""
-    return drive.columns.values.get(name, NO_POINTS)
+    yield from samples(drive, topics.WIND, "to +x of the map", 0, column=1)
+    yield from samples(drive, topics.WIND, "to +y of the map", 1, column=2)
 
 
 def published(*labels: tuple[str, str], scale: float = 1.0, first: int = 0) -> Lines:
-    """Return the function that yields published quantities of the controller.
-
-    Args:
-        labels: Name and label of each quantity.
-        scale: Factor from SI to the unit of the axis; where it is 1, values hold until the next.
-        first: Kind of the first line.
-    """
+    """Return the function that yields quantities by name and label; `first`: kind of the first."""
 
     def lines(drive: JudgedDrive) -> Iterator[Series]:
         for kind, (name, label) in enumerate(labels, first):
-            rows = drive.record.tick.get(name, NO_POINTS)
-            if len(rows):
-                yield Series(label, rows[:, 0], scale * rows[:, 1], kind, step=scale == 1.0)
+            yield from samples(drive, name, label, kind, scale)
 
     return lines
 
@@ -153,13 +173,13 @@ PANELS = [
         "cross_track",
         "Cross-track error",
         "Distance of the centre of gravity from the path, positive to its left.",
-        (Axis("error [m]", cross_track, visible=(-0.05, 0.05)),),
+        (Axis("error [m]", errors("cross-track error", 0), visible=(-0.05, 0.05)),),
     ),
     Panel(
         "heading",
         "Heading error",
         "Heading of the car minus heading of the path, positive to the left.",
-        (Axis("error [deg]", heading, visible=(-0.5, 0.5)),),
+        (Axis("error [deg]", errors("heading error", 1, DEG), visible=(-0.5, 0.5)),),
     ),
     Panel(
         "steering",
@@ -212,92 +232,56 @@ PANELS = [
     ),
 ]
 """All charts over time except the events, in the order of the page."""
+EVENTS = Panel(
+    "events",
+    "Faults, fallbacks and guard",
+    "Deviations from normal operation; each bar is an interval of ticks.",
+    (),
+)
 
 
-def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.Figure:
-    """Return the chart of a panel, without traces where no drive has data.
+class Event(NamedTuple):
+    """One row of the chart of events for one drive."""
 
-    Args:
-        panel: Entry of `PANELS`.
-        drives: One or several drives.
-        points: Approximate largest number of points of a line.
-    """
-    rows, several = len(panel.axes), len(drives) > 1
-    heights = [FIRST_ROW, *[ROW] * (rows - 1)]
-    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.06, row_heights=heights)
-    kinds: dict[str, Series] = {}
-    for row, axis in enumerate(panel.axes, 1):
-        for k, drive in enumerate(drives):
-            for series in axis.lines(drive):
-                time, values = thinned(series, points)
-                trace = line_of(series, color_of(series, k, len(drives)), several)
-                name = f"{drive.name}: {series.label}" if several else series.label
-                visible = not several and series.label not in kinds
-                trace.update(x=time, y=values, name=name, showlegend=visible, connectgaps=False)
-                kinds.setdefault(series.label, series)
-                figure.add_trace(trace, row, 1)
-        set_scale(figure, axis, row)
-    # With several drives, colours are drives: one legend entry per dash explains the quantities.
-    for series in kinds.values() if several else ():
-        figure.add_trace(line_of(series, "#404040", True).update(x=[None], y=[None]))
-    set_layout(figure, sum(heights) + (LEGEND if len(kinds) > 2 else 0))
-    figure.update_xaxes(title={"text": "time [s]", "standoff": 4}, row=rows)
-    figure.update_layout(showlegend=len(kinds) > 1)
-    return figure
+    label: str
+    drive: int
+    spans: Array
+    """(n, 2) begin and end of each interval [s]."""
+    ticks: int
 
 
-def line_of(series: Series, color: str, several: bool) -> go.Scatter:
-    """Return a trace without points in the style of a series."""
-    dash = DASHES[series.kind % len(DASHES)] if several or series.bound else "solid"
-    shape, width = "hv" if series.step else "linear", 1.2 if series.bound else 1.8
-    return go.Scatter(
-        name=series.label,
-        legendgroup=series.label,
-        mode="lines",
-        line={"color": color, "width": width, "dash": dash, "shape": shape},
-    )
+def events_of(drives: Sequence[JudgedDrive]) -> list[Event]:
+    """Return all events of all drives."""
+    return [event for number, drive in enumerate(drives) for event in find_events(drive, number)]
 
 
-def set_scale(figure: go.Figure, axis: Axis, row: int) -> None:
-    """Set title, range and ticks of the vertical axis of a row."""
-    figure.update_yaxes(title_text=axis.title, row=row)
-    if axis.visible:
-        figure.update_yaxes(autorangeoptions={"include": list(axis.visible)}, row=row)
-        if min(axis.visible) == 0.0:
-            figure.update_yaxes(rangemode="nonnegative", row=row)
-    if axis.log:
-        figure.update_yaxes(type="log", **log_ticks(figure, row), row=row)
-
-
-def log_ticks(figure: go.Figure, row: int) -> dict[str, list[Any]]:
-    """Return the ticks 1, 2, 5 of each decade that the lines of a row reach."""
-    axis = "y" if row == 1 else f"y{row}"
-    lines = [line.y for line in figure.data if line.yaxis == axis]
-    values = [value for line in lines for value in line if value and value > 0]
-    low, high = min(values, default=1.0), max(values, default=1.0)
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    steps = (1, 2, 5) if len(decades) < 4 else (1,)
-    ticks = [step * 10.0**decade for decade in decades for step in steps]
-    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
-
-
-def set_layout(figure: go.Figure, height: int) -> None:
-    """Set the layout that all charts over time share."""
-    figure.update_layout(
-        LAYOUT,
-        height=height,
-        margin={"l": 64, "r": 12, "t": 8, "b": 44},
-        hovermode="x unified",
-        hoverlabel={"bgcolor": "white"},
-        dragmode="zoom",
-        showlegend=True,
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0},
-    )
-    figure.update_xaxes(gridcolor="#e4e4e4", zeroline=False, ticks="outside")
-    figure.update_yaxes(
-        gridcolor="#e4e4e4",
-        zeroline=True,
-        zerolinecolor="#9a9a9a",
-        title_standoff=6,
-        automargin=False,
-    )
+def find_events(drive: JudgedDrive, number: int) -> Iterator[Event]:
+    """Yield the events of a drive."""
+    tick, time = drive.record.tick, drive.record.time
+    active: list[tuple[str, Array, NDArray[np.bool_]]] = []
+    for name, (label, words) in INDICES.items():
+        rows = tick.get(name, NO_POINTS)
+        for value in np.unique(np.clip(rows[:, 1], *INDEX_RANGE)).astype(int).tolist():
+            word = words[value] if 0 <= value < len(words) else str(value)
+            if value:
+                text = f"{label}: {word.replace('_', ' ')}"
+                active.append((text, rows[:, 0], rows[:, 1] == value))
+    for name, label in FLAGS.items():
+        rows = tick.get(name, NO_POINTS)
+        active.append((label, rows[:, 0], rows[:, 1] != 0.0))
+    for name, label in COUNTERS.items():
+        rows = tick.get(name, NO_POINTS)
+        active.append((label, rows[1:, 0], np.diff(rows[:, 1]) > 0.0))
+    rows = tick.get("converged", NO_POINTS)
+    active.append(("QP not solved", rows[:, 0], rows[:, 1] != 1.0))
+    for label, stamps, is_active in active:
+        if is_active.any():
+            edges = np.diff(np.concatenate(([False], is_active, [False])).astype(int))
+            begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+            ends = np.minimum(ends, len(stamps) - 1)  # a tick lasts until the next one
+            spans = np.column_stack((stamps[begins], stamps[ends]))
+            yield Event(label, number, spans, int(is_active.sum()))
+    gaps = np.flatnonzero(np.diff(time) > 1.5 * drive.record.period)
+    if len(gaps):
+        spans = np.column_stack((time[gaps], time[gaps + 1]))
+        yield Event("missed ticks", number, spans, int(drive.metrics["missed_ticks"] or 0))

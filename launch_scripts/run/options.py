@@ -1,8 +1,10 @@
 """Options of a run, and a check of all names and files before any node starts."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +12,7 @@ from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_ros.configuration import CONTROLLERS, Choices, check_controller
+from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
 from ampc_ros.mpc.gain_table import load_gain_table
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
@@ -49,28 +51,11 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
         shown = "; default: %(default)s" if value not in (None, "") else ""
         parser.add_argument(name, default=value, help=f"{names}{text}{shown}".lstrip(), **how)
 
-    add_route_options(add)
-    add_car_options(add)
-    add("--real-time", False, "run freely instead of in lock-step", action="store_true")
-    add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
-    add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
-    return parser.parse_args(arguments)
-
-
-def add_route_options(add: Callable[..., None]) -> None:
-    """Add the options of scenario, path and speed."""
-    add("--scenario", "sc1", "scenario to drive", "scenarios")
-    add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
-    add("--speed", -1.0, "constant speed [m/s]; -1: that of the scenario or file", type=float)
-    text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
-    add("--lateral-acceleration", -1.0, text, type=float)
-    add("--laps", 1, "number of laps on the closed path of a CSV file", type=int)
-
-
-def add_car_options(add: Callable[..., None]) -> None:
-    """Add the options of car, controller, disturbances and faults."""
     default = Choices()
     names = f"{', '.join(CONTROLLERS)}, or a class of yours: my_file.py:MyController"
+    add("--scenario", "sc1", "scenario to drive", "scenarios")
+    add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
+    add_speed_options(parser)
     add("--vehicle", default.vehicle, "the car", "vehicles")
     add("--controller", default.controller, f"{names}; steers the car")
     add("--settings", default.settings, "limits of the controller", "controllers")
@@ -81,23 +66,55 @@ def add_car_options(add: Callable[..., None]) -> None:
     add("--seed", 0, "seed of the noise", type=int)
     text = "fault injection between simulator and controller, in real time; default: none"
     add("--faults", "", text, "faults")
+    add("--real-time", False, "run freely instead of in lock-step", action="store_true")
+    add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
+    add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
+    return parser.parse_args(arguments)
 
 
-def resolve_controller(name: str) -> str:
-    """Return the name of a controller; in `file.py:Class`, the file becomes an absolute path.
-
-    Raises:
-        ValueError: There is no such controller.
-    """
-    file, _, cls = name.rpartition(":")
-    name = f"{Path(file).resolve()}:{cls}" if file.endswith(".py") else name
-    check_controller(name)
-    return name
+def add_speed_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the speed along a path, and of its laps."""
+    add = parser.add_argument
+    text = "constant speed [m/s]; -1: that of the scenario or file"
+    add("--speed", type=float, default=-1.0, help=text)
+    text = "largest lateral acceleration along the path of a CSV file [m/s^2]; -1: its own speed"
+    add("--lateral-acceleration", type=float, default=-1.0, help=text)
+    add("--laps", type=int, default=1, help="number of laps on the closed path of a CSV file")
 
 
 def controller_label(name: str) -> str:
     """Return the display name of a controller: the shipped name, or the name of the class."""
     return name.rpartition(":")[2]
+
+
+FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "vehicle": ("vehicles", load_vehicle),
+    "settings": ("controllers", partial(load, ControllerSettings)),
+    "guard": ("guards", partial(load, GuardLimits)),
+    "noise": ("noise", partial(load, MeasurementNoise)),
+}
+"""Options that name a file: folder of the shipped ones, and how to read it."""
+
+
+def check_files(options: argparse.Namespace) -> None:
+    """Read the files that the options name.
+
+    Raises:
+        ValueError: Names the option, the file and the cause.
+    """
+    for option, (folder, read) in FILES.items():
+        if getattr(options, option, ""):
+            with naming(option):
+                read(find(folder, getattr(options, option)))
+
+
+@contextmanager
+def naming(option: str) -> Iterator[None]:
+    """Prefix the message of a ValueError with the invalid option."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"--{option}: {error}") from error
 
 
 def prepare_run(options: argparse.Namespace) -> Run:
@@ -106,20 +123,20 @@ def prepare_run(options: argparse.Namespace) -> Run:
     Raises:
         ValueError: Names the invalid option or file in one sentence.
     """
-    size = load_vehicle(find("vehicles", options.vehicle)).size
-    options.controller = resolve_controller(options.controller)
-    load(ControllerSettings, find("controllers", options.settings))
+    check_files(options)
+    options.controller = check_controller(options.controller)
+    if is_custom(options.controller):
+        from ampc_ros.controller import make_controller  # loads all controllers
+
+        make_controller(Choices(options.controller, options.vehicle, options.settings))
     if options.gain_table:
         load_gain_table(options.gain_table)
-    load(GuardLimits, find("guards", options.guard))
-    if options.noise:
-        load(MeasurementNoise, find("noise", options.noise))
     if options.faults:
-        from launch_scripts.faults.schedule import load_plan
+        from launch_scripts.faults.schedule import load_faults
 
-        load_plan(options.faults)
+        load_faults(options.faults)
     route = Route(*(getattr(options, key) for key in Route._fields))
-    scenario = choose_scenario(route, size)
+    scenario = choose_scenario(route, load_vehicle(find("vehicles", options.vehicle)).size)
     values = {key: value for key, value in vars(options).items() if key != "output"}
     label = controller_label(options.controller)
     name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{label}"

@@ -1,6 +1,7 @@
 """Node processes that are started and ended together."""
 
 import ctypes
+import os
 import re
 import signal
 import subprocess
@@ -11,13 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from launch_scripts.run.environment import ros_environment
-
 PATIENCE = 10.0
 """Wall time to wait for the end of a process after SIGINT, and again after SIGTERM [s]."""
 SET_PARENT_DEATH_SIGNAL = 1
 """PR_SET_PDEATHSIG of <linux/prctl.h>."""
 LIBC = ctypes.CDLL(None)
+PROFILES = Path(__file__).with_name("fastdds.xml")
+"""Settings of the middleware for one computer."""
 LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 
@@ -120,3 +121,18 @@ def yaml_text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return "'" + value.replace("'", "''") + "'" if isinstance(value, str) else repr(value)
+
+
+def ros_environment() -> dict[str, str]:
+    """Return the environment of this process with the variables that its nodes need.
+
+    Topics stay on this computer, unless the environment selects another discovery range. The ROS
+    wheels contain only one middleware, which gets a profile for one computer; where ROS 2 itself
+    is sourced, its middleware is not changed.
+    """
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if "ROS_DISTRO" not in environment:
+        environment["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
+        environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
+    return environment

@@ -4,7 +4,6 @@ import json
 import math
 
 from rich.table import Table
-from rich.text import Text
 
 from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find, load
@@ -12,9 +11,9 @@ from ampc_msgs_config.metrics import METRICS, RESULT, evaluate
 from ampc_msgs_config.parameters import ControllerSettings
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
-from launch_scripts.report import write_report
 from launch_scripts.reporting.drive import judge_columns, run_context_of
-from launch_scripts.run.json_values import to_json
+from launch_scripts.reporting.page import write_report
+from launch_scripts.reporting.pages import terminal_table, to_json
 from launch_scripts.run.options import Run
 from sim_vehicle.parameters import load_vehicle
 
@@ -42,16 +41,9 @@ def write_result(run: Run, ended: str) -> Table:
     context = run_context_of(columns, vehicle, settings, options["controller"])
     drive = judge_columns(columns, run.folder.resolve().name, context)
     write_report(run.folder / "report.html", [drive], "", f"Written after a run of {run.title}")
-    return result_table(run.title, metrics)
-
-
-def result_table(title: str, metrics: dict[str, float]) -> Table:
-    """Return the metrics as a table for the terminal, without those that are undefined."""
-    table = Table(title=Text(title), title_justify="left")
-    for heading in ("quantity", "value", "unit"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    for key in RESULT:
-        if math.isfinite(metrics[key]):
-            metric = METRICS[key]
-            table.add_row(metric.title, f"{metrics[key] * metric.scale:.4g}", metric.unit)
-    return table
+    rows = [
+        (METRICS[key].title, f"{metrics[key] * METRICS[key].scale:.4g}", METRICS[key].unit)
+        for key in RESULT
+        if math.isfinite(metrics[key])
+    ]
+    return terminal_table(("quantity", "value", "unit"), rows, "lrl", run.title)

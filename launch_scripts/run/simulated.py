@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.frames import at_distance
-from ampc_msgs_config.metrics import LOST, Drive, DriveRecord, ticks
+from ampc_msgs_config.metrics import LOST, Drive
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array, Diagnosis
@@ -24,20 +24,6 @@ class SimulatedDrive(NamedTuple):
     """Cross-track error at each tick (n,) [m]."""
     diagnosis: Sequence[Diagnosis] = ()
     """Diagnosis of the controller at each tick; empty if not recorded."""
-
-
-def record_of_simulated(driven: SimulatedDrive) -> DriveRecord:
-    """Return the input of the metrics, without heading errors and Y - Y_ref(X)."""
-    time, states = ticks(driven.drive), driven.drive.states
-    return DriveRecord(
-        time,
-        float(time[1]),
-        driven.error,
-        speed=np.array([state.v_x for state in states]),
-        yaw_rate=np.array([state.yaw_rate for state in states]),
-        steering=driven.drive.steering,
-        solve_time=driven.drive.solve_time,
-    )
 
 
 def ticks_until_lost(driven: SimulatedDrive) -> int:

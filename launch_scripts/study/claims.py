@@ -1,9 +1,9 @@
 """Claims of the paper, and the verdict of a run on each of them."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from launch_scripts.study.pso_methods import CLAIMED, REPORTED, all_bars_hold
+from launch_scripts.study.pso_methods import CLAIMED, REPORTED, ordering_bars
 
 PAPER_MSE: dict[str, dict[str, float]] = {
     "sc1": {"paper": 0.097, "classic": 0.422, "pure_pursuit": 0.482},
@@ -19,8 +19,6 @@ BETTER = 1.1
 WIND_LOST = 3.0
 """Error from which a car in the wind has lost the path [m]."""
 YES, DIRECTION, NO = "yes", "direction only", "no"
-ClaimText = list[str | float]
-"""Words and measured numbers in turn."""
 CONSTANT = (
     "At constant speed an adaptive model equals a fixed one: with the same gains both controllers "
     "are the same. The paper does not state the gains of its classic MPC."
@@ -29,49 +27,33 @@ FAIR = "With a tuned look-ahead pure pursuit is the better controller here."
 RATIO_CLAIMS = (
     ("sc1", "classic", "Sc1: AMPC beats the classic MPC", CONSTANT),
     ("sc1", "pure_pursuit", "Sc1: AMPC beats pure pursuit", FAIR),
-    (
-        "sc2",
-        "classic",
-        "Sc2: AMPC beats the classic MPC",
-        "The model fixed at 9 m/s is driven at 15 m/s. The ratio depends on tyre and gains: see "
-        "the switches, and the fixed MPC with tuned gains.",
-    ),
+    ("sc2", "classic", "Sc2: AMPC beats the classic MPC",
+     "The model fixed at 9 m/s is driven at 15 m/s. The ratio depends on tyre and gains: see "
+     "the switches, and the fixed MPC with tuned gains."),
     ("sc3_constant", "classic", "Sc3, 11 m/s: AMPC beats the classic MPC", CONSTANT),
     ("sc3_constant", "pure_pursuit", "Sc3, 11 m/s: AMPC beats pure pursuit", FAIR),
-    (
-        "sc3_varying",
-        "classic",
-        "Sc3, varying speed: AMPC beats the classic MPC",
-        "From 6 to 13 m/s a model fixed at 11 m/s is accurate enough. Both controllers lack the "
-        "path ahead, because the set-point is held constant over the horizon.",
-    ),
-)
+    ("sc3_varying", "classic", "Sc3, varying speed: AMPC beats the classic MPC",
+     "From 6 to 13 m/s a model fixed at 11 m/s is accurate enough. Both controllers lack the "
+     "path ahead, because the set-point is held constant over the horizon."),
+)  # fmt: skip
 """Road, contender, claim and explanation."""
 WIND_CLAIMS = (
-    (
-        "sc3_wind",
-        "at the speeds of Sc3",
-        "At 6 to 13 m/s gusts of 25 m/s do not move either car off its path.",
-    ),
-    (
-        "sc3_fast_wind",
-        "at 18 m/s",
-        "As the paper says, the wind has no visible effect on the AMPC, and the model fixed at 11 "
-        "m/s loses the path. But it loses the path in calm air, too: its loop is unstable at this "
-        "speed. The wind is not the cause.",
-    ),
-)
+    ("sc3_wind", "at the speeds of Sc3",
+     "At 6 to 13 m/s gusts of 25 m/s do not move either car off its path."),
+    ("sc3_fast_wind", "at 18 m/s",
+     "As the paper says, the wind has no visible effect on the AMPC, and the model fixed at 11 "
+     "m/s loses the path. But it loses the path in calm air, too: its loop is unstable at this "
+     "speed. The wind is not the cause."),
+)  # fmt: skip
 """Road, condition and explanation."""
+Results = Mapping[str, Any]
+Claim = dict[str, Any]
+"""Text of the claim, words and numbers of the paper and of this run, verdict and explanation."""
 
 
-class Claim(NamedTuple):
-    """One claim of the paper and its verdict."""
-
-    claim: str
-    paper: ClaimText
-    here: ClaimText
-    verdict: str
-    why: str
+def claim_of(text: str, paper: list[Any], here: list[Any], verdict: str, why: str) -> Claim:
+    """Return a claim for JSON."""
+    return {"claim": text, "paper": paper, "here": here, "verdict": verdict, "why": why}
 
 
 def ratio_verdict(here: float, paper: float, lost: bool) -> str:
@@ -81,60 +63,62 @@ def ratio_verdict(here: float, paper: float, lost: bool) -> str:
     return YES if not lost and paper / ALIKE <= here <= paper * ALIKE else DIRECTION
 
 
-def ratio_claim(results: Mapping[str, Any], road: str, other: str, words: str, why: str) -> Claim:
+def ratio_claim(results: Results, road: str, other: str, text: str, why: str) -> Claim:
     """Check the claim that the AMPC has a smaller MSE than another contender."""
+
+    def ratio(row: Mapping[str, Any]) -> float:
+        return float(row[other]["mse_m2"] / row["paper"]["mse_m2"])
+
     row = results["roads"][road]
-    ratio, lost = row[other]["mse_m2"] / row["paper"]["mse_m2"], bool(row[other]["lost"])
-    paper = PAPER_MSE[road][other] / PAPER_MSE[road]["paper"]
-    here: ClaimText = ["MSE ratio ", ratio, "; the other car is lost" if lost else ""]
+    lost, paper = bool(row[other]["lost"]), PAPER_MSE[road][other] / PAPER_MSE[road]["paper"]
+    here = ["MSE ratio ", ratio(row), "; the other car is lost" if lost else ""]
     if lost and "tyre" in results["switches"]:
-        linear = results["switches"]["tyre"][road]
-        linear_ratio = linear[other]["mse_m2"] / linear["paper"]["mse_m2"]
-        here += ["; ", linear_ratio, " with the authors\u2019 linear tyre"]
-    return Claim(words, ["MSE ratio ", paper], here, ratio_verdict(ratio, paper, lost), why)
+        linear = ratio(results["switches"]["tyre"][road])
+        here += ["; ", linear, " with the authors\u2019 linear tyre"]
+    verdict = ratio_verdict(ratio(row), paper, lost)
+    return claim_of(text, ["MSE ratio ", paper], here, verdict, why)
 
 
-def sphere_claim(results: Mapping[str, Any]) -> Claim:
+def sphere_claim(results: Results) -> Claim:
     """Check the order of the swarms on the sphere function."""
     median = {name: results["sphere"]["final"]["sphere, n = 5"][name][1] for name in CLAIMED}
-    return Claim(
+    return claim_of(
         "PSO: proposed first, classic last, on the sphere",
         [part for name in CLAIMED for part in (f" {name}\u00a0", REPORTED[name])],
         [part for name in CLAIMED for part in (f" {name}\u00a0", median[name])],
-        YES if all_bars_hold(median) else NO,
+        YES if all(ordering_bars(median).values()) else NO,
         "Requires a schedule far longer than the 41 generations shown, no velocity clamp, and 5 "
         "dimensions, none of which the paper states. On other functions the proposed swarm is not "
         "the best.",
     )
 
 
-def pure_pursuit_claim(results: Mapping[str, Any]) -> Claim:
+def pure_pursuit_claim(results: Results) -> Claim:
     """Check the claim that pure pursuit fails on Sc2."""
     metrics = results["roads"]["sc2"]["pure_pursuit"]
     trials = [t["mse"]["sc2"] for t in results["look_ahead"]["trials"] if "sc2" in t["mse"]]
     worst = max(trials, default=metrics["mse_m2"])
-    here: ClaimText = ["largest error ", metrics["max_error_m"], " m, MSE ", metrics["mse_m2"]]
-    here += [" m\u00b2; with the worst look-ahead of the grid ", worst, " m\u00b2"]
-    return Claim(
+    here = ["largest error ", metrics["max_error_m"], " m, MSE ", metrics["mse_m2"]]
+    return claim_of(
         "Pure pursuit cannot drive Sc2",
         ["fails"],
-        here,
+        [*here, " m\u00b2; with the worst look-ahead of the grid ", worst, " m\u00b2"],
         YES if metrics["lost"] else NO,
         "With a look-ahead from a grid search it stays on the path, but with a larger error than "
         "the AMPC here. The paper does not state its look-ahead.",
     )
 
 
-def wind_claim(results: Mapping[str, Any], road: str, condition: str, why: str) -> Claim:
+def wind_claim(results: Results, road: str, condition: str, why: str) -> Claim:
     """Check the claim that in wind the fixed model loses the path and the adaptive one does not.
 
     The wind is not the cause where the fixed model loses the path in calm air, too.
     """
     own, other = (results["wind_effect"][road][name] for name in ("paper", "classic"))
-    here: ClaimText = ["largest error AMPC ", own["wind_m"], " m, classic ", other["wind_m"]]
+    here = ["largest error AMPC ", own["wind_m"], " m, classic ", other["wind_m"]]
     here += [" m; in calm air ", own["calm_m"], " and ", other["calm_m"], " m"]
     verdict = YES if other["calm_m"] < WIND_LOST else DIRECTION
-    return Claim(
+    return claim_of(
         f"In wind the AMPC tracks, classic diverges: {condition}",
         ["AMPC tracks, classic diverges"],
         here,
@@ -143,47 +127,43 @@ def wind_claim(results: Mapping[str, Any], road: str, condition: str, why: str) 
     )
 
 
-def tuned_claim(results: Mapping[str, Any]) -> Claim:
-    """Check the claim that PSO improves hand-set gains; a shipped tuned table decides."""
-    rows = list(results["roads"].values())
-    ratios = {
-        words: [row["paper"]["mse_m2"] / row[name]["mse_m2"] for row in rows]
-        for name, words in (("paper_pso", "table"), ("paper_one", "one set"))
-        if name in rows[0]
-    }
-    here: ClaimText = ["MSE of Table 3 over MSE tuned"]
-    for words, values in ratios.items():
-        here += [f", {words}: ", min(values), " to ", max(values)]
-    values = next(iter(ratios.values()))
-    return Claim(
+def tuned_claim(results: Results) -> Claim:
+    """Check the claim that PSO improves hand-set gains; the shipped tuned table decides."""
+    here, ranges = list[Any](["MSE of Table 3 over MSE tuned"]), []
+    for name, words in (("paper_pso", "table"), ("paper_one", "one set")):
+        rows = results["roads"].values()
+        ratios = [row["paper"]["mse_m2"] / row[name]["mse_m2"] for row in rows]
+        ranges.append((min(ratios), max(ratios)))
+        here += [f", {words}: ", min(ratios), " to ", max(ratios)]
+    low, high = ranges[0]
+    return claim_of(
         "Tuning by PSO improves the AMPC",
         ["claimed, no number"],
         here,
-        YES if min(values) >= BETTER else DIRECTION if max(values) >= BETTER else NO,
+        YES if low >= BETTER else DIRECTION if high >= BETTER else NO,
         "The table is tuned as in the paper, by the error of a step, which is not a path. The "
         "single set is tuned on Sc1, Sc2 and Sc3 varying, and steers more roughly (table below). "
         "The remaining error is that of the constant set-point, which no gain removes.",
     )
 
 
-def check_claims(results: Mapping[str, Any]) -> list[Claim]:
-    """Check all claims of the paper about the roads that were driven."""
-    roads = results["roads"]
-    claims = [sphere_claim(results)]
-    claims += [ratio_claim(results, *row) for row in RATIO_CLAIMS if row[0] in roads]
-    claims += [pure_pursuit_claim(results)] if "sc2" in roads else []
-    claims += [wind_claim(results, *row) for row in WIND_CLAIMS if row[0] in roads]
-    return [*claims, tuned_claim(results)]
+def conclusions(results: Results) -> dict[str, Any]:
+    """Return claims, number of verdicts, gain of preview, and roads where pure pursuit wins.
 
-
-def conclusions(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Return claims, number of verdicts, gain of preview, and roads where pure pursuit wins."""
-    claims = [claim._asdict() for claim in check_claims(results)]
+    Claims about roads that were not driven are left out.
+    """
     roads = results["roads"]
+    claims = [
+        sphere_claim(results),
+        *(ratio_claim(results, *row) for row in RATIO_CLAIMS if row[0] in roads),
+        *([pure_pursuit_claim(results)] if "sc2" in roads else []),
+        *(wind_claim(results, *row) for row in WIND_CLAIMS if row[0] in roads),
+        tuned_claim(results),
+    ]
     wins = {r: row["pure_pursuit"]["mse_m2"] < row["paper"]["mse_m2"] for r, row in roads.items()}
     constant = ("paper", "paper_pso", "paper_one", "classic", "classic_pso")
     gain = [
-        min(row[name]["mse_m2"] for name in constant if name in row) / row["preview"]["mse_m2"]
+        min(row[name]["mse_m2"] for name in constant) / row["preview"]["mse_m2"]
         for row in roads.values()
     ]
     return {

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ampc_msgs_config.config import find, load, shipped
+from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import LOST, errors, measure, record_of
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path import Path
@@ -19,8 +19,6 @@ from launch_scripts.run.simulated import SimulatedDrive
 from sim_vehicle.closed_loop import Simulation, Steering, drive
 from sim_vehicle.parameters import Vehicle, load_vehicle
 
-TUNED_TABLE = "paper_pso"
-"""Shipped gain table of the paper's formulation, tuned by particle swarm; optional."""
 STUDY_ROADS = {
     "sc1": "Sc1",
     "sc2": "Sc2",
@@ -82,11 +80,6 @@ class DiagnosisRecorder:
         return command
 
 
-def available_contenders() -> list[str]:
-    """Return the names of the contenders; the tuned table only where it is shipped."""
-    return [name for name in CONTENDERS if name != "paper_pso" or TUNED_TABLE in shipped("gains")]
-
-
 def plant_vehicle(switches: Switches) -> Vehicle:
     """Return the simulated car: the paper's, or parts of it from the authors' code."""
     vehicle = load_vehicle(find("vehicles", "paper"))
@@ -127,7 +120,7 @@ def build_contender(
         chosen = replace(settings, look_ahead_time=time, min_look_ahead=distance)
         return PurePursuit(car.chassis, chosen)
     if name == "paper_pso":
-        return LateralMpc(car.chassis, settings, load_gain_table(TUNED_TABLE))
+        return LateralMpc(car.chassis, settings, load_gain_table("paper_pso"))
     sets = {"paper_one": tuned.adaptive, "classic_pso": tuned.fixed}
     gains = sets.get(name, load_gain_table("table3").nodes[0])
     return LateralMpc(car.chassis, settings, constant_table(gains, switches))

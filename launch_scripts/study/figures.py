@@ -1,6 +1,6 @@
 """Figures of the reproduction: scenarios, adaptation, swarms, searches and sweeps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from ampc_msgs_config.metrics import LOST, ticks
 from ampc_msgs_config.scenarios.scenario import speed_at
 from ampc_msgs_config.scenarios.wind import wind_at
-from ampc_msgs_config.types import Array
+from ampc_msgs_config.types import Array, Diagnosis
 from launch_scripts.reporting.style import (
     CONTROLLER_STYLES,
     INK,
@@ -44,16 +44,17 @@ def draw_figures(
     results: Mapping[str, Any], driven: Mapping[str, Mapping[str, SimulatedDrive]]
 ) -> dict[str, Figure]:
     """Draw all figures of the page, by name."""
+    # curves by name: abscissa, ordinate
     searches = {
-        f"{t['model']}, seed {t['seed']}": (list(range(len(t["history_m2"]))), t["history_m2"])
+        f"{t['model']}, seed {t['seed']}": (range(len(t["history_m2"])), t["history_m2"])
         for t in results["tuning"]
         if t["used"]
     }
     trials, sweep = results["look_ahead"]["trials"], results["sweep"]
     look_ahead = {}
     for distance in LOOK_AHEAD_DISTANCES:
-        own = [t for t in trials if t["distance_m"] == distance]
-        curve = [t["time_s"] for t in own], [t["fitness_m2"] for t in own]
+        own = [trial for trial in trials if trial["distance_m"] == distance]
+        curve = [trial["time_s"] for trial in own], [trial["fitness_m2"] for trial in own]
         look_ahead[f"at least {distance:g} m"] = curve
     weights = {
         STUDY_ROADS[road]: ([row["R"] for row in sweep], [row["mse_m2"][road] for row in sweep])
@@ -62,7 +63,7 @@ def draw_figures(
     sc1 = PAPER_MSE["sc1"]
     levels = {"paper's AMPC": sc1["paper"], "paper's classic": sc1["classic"]}
     return {
-        **{road: draw_scenario(row) for road, row in driven.items()},
+        **{road: draw_road(row) for road, row in driven.items()},
         "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"]),
         "sphere": draw_sphere({name: results["sphere"]["curves"][name] for name in SHOWN_SWARMS}),
         "tuning": draw_curves(searches, "generation", "best fitness [m\u00b2]"),
@@ -71,7 +72,7 @@ def draw_figures(
     }
 
 
-def draw_scenario(driven: Mapping[str, SimulatedDrive]) -> Figure:
+def draw_road(driven: Mapping[str, SimulatedDrive]) -> Figure:
     """Draw a scenario: path, error, steering, yaw rate, speed, and wind if there is any."""
     shown = {name: d for name, d in driven.items() if name in CONTROLLER_STYLES}
     first = next(iter(shown.values()))
@@ -92,8 +93,15 @@ def draw_scenario(driven: Mapping[str, SimulatedDrive]) -> Figure:
     # drives until they are lost
     curves = {name: panel_curves(d) for name, d in shown.items()}
     stayed = [name for name, d in shown.items() if ticks_until_lost(d) == len(d.error)]
-    for name in shown:
-        plot_drive(axes, name, curves[name], lost=name not in stayed)
+    for name, own in curves.items():
+        (color, line), lost = CONTROLLER_STYLES[name], name not in stayed
+        for panel, (a, b) in own.items():
+            width = {"equal": 0.9, "place": 1.3, "speed": 1.3}.get(
+                panel, 0.6 if lost else 2.4 if name == "paper" else 1.3
+            )
+            axes[panel].plot(a, b, linestyle=line, color=color, linewidth=width)
+            if lost and panel != "equal":  # a cross marks where the car is lost
+                axes[panel].plot(a[-1], b[-1], "x", color=color, markersize=8, mew=2)
     # ranges
     y = first.path.y
     axes["equal"].set_aspect("equal", adjustable="datalim")
@@ -119,6 +127,7 @@ def panel_curves(driven: SimulatedDrive) -> dict[str, tuple[Array, Array]]:
     state = np.array([s[1:] for s in driven.drive.states])
     x, y = centre_of_gravity(driven)
     curves = {
+        "equal": (x, y),
         "place": (x, y),
         "error": (time, driven.error),
         "steering": (time, np.degrees(driven.drive.steering)),
@@ -126,20 +135,6 @@ def panel_curves(driven: SimulatedDrive) -> dict[str, tuple[Array, Array]]:
         "speed": (time, state[:, 3]),
     }
     return {panel: (a[:n], b[:n]) for panel, (a, b) in curves.items()}
-
-
-def plot_drive(
-    axes: Mapping[str, Axes], name: str, curves: Mapping[str, tuple[Array, Array]], lost: bool
-) -> None:
-    """Plot a drive into all panels; a cross marks where the car is lost."""
-    color, line = CONTROLLER_STYLES[name]
-    width = 0.6 if lost else 2.4 if name == "paper" else 1.3
-    for panel, (a, b) in curves.items():
-        style: dict[str, Any] = {"linewidth": width if panel in SCALED_PANELS else 1.3}
-        axes[panel].plot(a, b, linestyle=line, color=color, **style)
-        if lost:
-            axes[panel].plot(a[-1], b[-1], "x", color=color, markersize=8, mew=2)
-    axes["equal"].plot(*curves["place"], linewidth=0.9, linestyle=line, color=color)
 
 
 def label_contenders(ax: Axes, ends: Mapping[str, float]) -> None:
@@ -150,31 +145,31 @@ def label_contenders(ax: Axes, ends: Mapping[str, float]) -> None:
 
 def draw_adaptation(driven: Mapping[str, SimulatedDrive]) -> Figure:
     """Draw the gains in use over time: horizons, Laguerre terms, Q / R."""
+    gains: dict[str, Callable[[Diagnosis], float]] = {
+        "N_p [ticks]": lambda d: d.prediction_horizon,
+        "N_c [ticks]": lambda d: d.control_horizon,
+        "N": lambda d: d.laguerre_terms,
+        "Q / R": lambda d: d.output_weight / d.increment_weight,
+    }
     figure, axes = stack([1.5, 1.3, 1.3, 1.5])
-    names = [name for name in ("paper", "paper_pso", "preview") if name in driven]
-    ends: list[dict[str, float]] = [{} for _ in axes]
-    for name in names:
-        diagnosis, time = driven[name].diagnosis, ticks(driven[name].drive)
-        color, line = CONTROLLER_STYLES[name]
-        values = (
-            [d.prediction_horizon for d in diagnosis],
-            [d.control_horizon for d in diagnosis],
-            [d.laguerre_terms for d in diagnosis],
-            [d.output_weight / d.increment_weight for d in diagnosis],
-        )
-        for ax, row, last in zip(axes, values, ends, strict=True):
-            steps = "default" if ax is axes[3] else "steps-post"
-            ax.plot(time, row, linestyle=line, color=color, drawstyle=steps)
-            last[name] = row[-1]
-    for ax, label in zip(axes, ("N_p [ticks]", "N_c [ticks]", "N", "Q / R"), strict=True):
+    drives = {name: driven[name] for name in ("paper", "paper_pso", "preview")}
+    values = {
+        label: {name: [gain(d) for d in drive.diagnosis] for name, drive in drives.items()}
+        for label, gain in gains.items()
+    }
+    for ax, (label, rows) in zip(axes, values.items(), strict=True):
         ax.set_ylabel(label)
-    for ax in axes[:3]:
-        ax.set_ylim(0, None)
-    axes[3].set_yscale("log")
-    axes[3].set_xlabel("time [s]")
+        for name, row in rows.items():
+            color, line = CONTROLLER_STYLES[name]
+            style = "default" if ax is axes[-1] else "steps-post"
+            ax.plot(ticks(drives[name].drive), row, linestyle=line, color=color, drawstyle=style)
+        if ax is not axes[-1]:
+            ax.set_ylim(0, None)
+    axes[-1].set_yscale("log")
+    axes[-1].set_xlabel("time [s]")
     figure.draw_without_rendering()
-    for ax, last in zip(axes, ends, strict=True):
-        label_contenders(ax, last)
+    for ax, rows in zip(axes, values.values(), strict=True):
+        label_contenders(ax, {name: row[-1] for name, row in rows.items()})
     return figure
 
 

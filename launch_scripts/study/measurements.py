@@ -1,6 +1,6 @@
 """Measurements of the reproduction: searches, drives, sweeps, faults, wind, test functions."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import product
@@ -20,13 +20,13 @@ from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.drives import (
+    CONTENDERS,
     DRIVE_SWITCHES,
     FIXED_SPEED,
     SEARCH_SWITCHES,
     STUDY_ROADS,
     Switches,
     TunedGains,
-    available_contenders,
     constant_table,
     controller_settings,
     drive_contender,
@@ -37,10 +37,10 @@ from launch_scripts.study.drives import (
 from launch_scripts.study.pso_methods import (
     METHODS,
     PROBLEMS,
-    READING_VARIANTS,
-    all_bars_hold,
+    READINGS,
+    final_quartiles,
+    ordering_bars,
     reading_medians,
-    readings,
     search_curves,
 )
 from launch_scripts.study.pso_variants import VariantSettings
@@ -80,6 +80,7 @@ FRAGILITY: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
 """Unmodelled conditions: scenario, changes of the scenario, changes of the steering."""
 WIND_SPEEDS = (11.0, 13.0, 15.0, 16.0, 17.0, 18.0)
 """Speeds on the stretched road, with and without wind [m/s]."""
+NO_SWITCH: Switches = frozenset()
 StepCallback = Callable[[], None]
 """Called after each of the steps that `count_steps` counts."""
 
@@ -118,30 +119,109 @@ def measure_study(
     """Return all results for JSON, and the drives for the figures by road and contender."""
     # searches: look-ahead, then the best single gain sets
     tuned, searches = search_gains(plan, step)
-    # every contender on every road
+    # every contender on every road, with wind also in calm air
     driven: dict[str, dict[str, SimulatedDrive]] = {}
-    for name in plan.roads:
-        scenario = study_scenario(name)
-        driven[name] = {
-            n: drive_contender(n, scenario, tuned, plan.switches) for n in available_contenders()
+    wind_effect = {}
+    for road in plan.roads:
+        scenario, calm = study_scenario(road), study_scenario(road, wind=())
+        driven[road] = {n: drive_contender(n, scenario, tuned, plan.switches) for n in CONTENDERS}
+        if scenario.wind:
+            wind_effect[road] = {
+                n: {
+                    "wind_m": largest_error(d),
+                    "calm_m": largest_error(drive_contender(n, calm, tuned, plan.switches)),
+                }
+                for n, d in driven[road].items()
+            }
+        step()
+    # one difference at a time taken from the authors' code, then all of them
+    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
+    effects = {}
+    for name, switches in {"none": NO_SWITCH, **cases, "all": frozenset(DRIVE_SWITCHES)}.items():
+        effects[name] = {
+            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
+            for road in plan.roads
         }
         step()
-    results: dict[str, Any] = {
+    # the increment weight, with the other gains of Table 3
+    table3, sweep = load_gain_table("table3").nodes[0], []
+    for R in INCREMENT_WEIGHTS:
+        gains = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
+        mse = mean_square_errors("paper_one", plan.tuning_roads[:2], gains, plan.switches)
+        sweep.append({"R": R, "mse_m2": mse})
+    step()
+    attempts = measure_attempts(tuned, plan.switches)
+    step()
+    swarms = measure_swarms(plan.sphere_seeds, plan.problems)
+    step()
+    return {
         "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
         **searches,
-        "wind_effect": wind_effect(driven, tuned, plan.switches),
-        "switches": switch_effects(plan, tuned, step),
-        "sweep": sweep_increment_weight(plan.tuning_roads[:2], plan.switches),
+        "wind_effect": wind_effect,
+        "switches": effects,
+        "sweep": sweep,
+        **attempts,
+        "sphere": swarms,
+    }, driven
+
+
+def measure_attempts(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
+    """Return what was tried where the paper does not reproduce: lane changes, margins, wind."""
+    geometry, wind_speeds = [], []
+    for length in MOVE_LENGTHS:
+        names = ("paper", "classic", "pure_pursuit")
+        metrics = metrics_of(names, double_lane_change(length), tuned, switches)
+        mse = {name: row["mse_m2"] for name, row in metrics.items()}
+        geometry.append({"length_m": length, "mse_m2": mse})
+    names = ("paper", "pure_pursuit", "preview")
+    fragile = {
+        condition: metrics_of(names, study_scenario(road, **changes), tuned, switches, **steering)
+        for condition, (road, changes, steering) in FRAGILITY.items()
     }
-    step()
-    # attempts where the paper does not reproduce
-    results["geometry"] = sweep_geometry(tuned, plan.switches)
-    results["fragile"] = measure_fragility(tuned, plan.switches)
-    results["wind_speeds"] = sweep_wind_speed(tuned, plan.switches)
-    step()
-    results["sphere"] = measure_swarms(plan.sphere_seeds, plan.problems)
-    step()
-    return results, driven
+    for speed in WIND_SPEEDS:
+        windy = study_scenario("sc3_fast_wind", speed=speed)
+        air = {"calm": windy._replace(wind=()), "wind": windy}
+        errors_m = {
+            f"{name}_{key}_m": largest_error(drive_contender(name, scenario, tuned, switches))
+            for name, (key, scenario) in product(("paper", "classic"), air.items())
+        }
+        wind_speeds.append({"speed_mps": speed, **errors_m})
+    return {"geometry": geometry, "fragile": fragile, "wind_speeds": wind_speeds}
+
+
+def metrics_of(
+    names: Sequence[str],
+    scenario: Scenario,
+    tuned: TunedGains,
+    switches: Switches,
+    **steering: float,
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of some contenders in a scenario."""
+    return {
+        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
+    }
+
+
+def largest_error(driven: SimulatedDrive) -> float:
+    """Return the largest absolute cross-track error [m]."""
+    return float(np.abs(driven.error).max())
+
+
+def mean_square_errors(
+    name: str, roads: Sequence[str], tuned: TunedGains, switches: Switches
+) -> dict[str, float]:
+    """Return the mean squared error of a contender by road [m^2]."""
+    drives = {r: drive_contender(name, study_scenario(r), tuned, switches) for r in roads}
+    return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}
+
+
+def double_lane_change(length: float) -> Scenario:
+    """Return Sc1 with another length of each half of the double lane change [m]."""
+    X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
+    back = (X - 30.0 - length - STRAIGHT_LENGTH) / length
+    Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
+    duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
+    return study_scenario("sc1", points=np.column_stack((X, Y)), duration=duration)
 
 
 def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
@@ -157,7 +237,13 @@ def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
 
 def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[str, Any]]:
     """Search for the look-ahead and the single gain sets; return the best, and all results."""
-    tuned, trials = search_look_ahead(plan.tuning_roads, plan.switches)
+    table3, trials = load_gain_table("table3").nodes[0], list[dict[str, Any]]()
+    for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
+        tuned = TunedGains((time, distance), table3, table3)
+        mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, plan.switches)
+        fitness = float(geometric_mean(np.array(list(mse.values()))))
+        trials.append({"time_s": time, "distance_m": distance, "fitness_m2": fitness, "mse": mse})
+    first = min(trials, key=lambda trial: float(trial["fitness_m2"]))
     step()
     rows = [search_gain_set(*search, plan, step) for search in gain_searches(plan)]
 
@@ -165,10 +251,10 @@ def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[
         own = [row for row in rows if row["used"] and row["model"] == model]
         return Gains(**min(own, key=lambda row: float(row["fitness_m2"]))["gains"])
 
-    tuned = tuned._replace(fixed=best("fixed"), adaptive=best("adaptive"))
-    return tuned, {
+    look_ahead = (first["time_s"], first["distance_m"])
+    return TunedGains(look_ahead, fixed=best("fixed"), adaptive=best("adaptive")), {
         "look_ahead": {
-            "best": dict(zip(("time_s", "distance_m"), tuned.look_ahead, strict=True)),
+            "best": {key: first[key] for key in ("time_s", "distance_m")},
             "trials": trials,
             "best_alone": {
                 road: min(trials, key=lambda t: float(t["mse"][road])) for road in plan.tuning_roads
@@ -218,22 +304,6 @@ def search_gain_set(
         "swarm": asdict(settings),
         "bounds": {d.name: [d.low, d.high] for d in dimensions},
     }
-
-
-def search_look_ahead(
-    roads: Sequence[str], switches: Switches
-) -> tuple[TunedGains, list[dict[str, Any]]]:
-    """Drive with every look-ahead of the grid; return the best one and all trials."""
-    table3 = load_gain_table("table3").nodes[0]
-    scenarios, trials = [study_scenario(name) for name in roads], list[dict[str, Any]]()
-    for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
-        tuned = TunedGains((time, distance), table3, table3)
-        drives = [drive_contender("pure_pursuit", s, tuned, switches) for s in scenarios]
-        mse = {s.name: float(np.mean(d.error**2)) for s, d in zip(scenarios, drives, strict=True)}
-        fitness = float(geometric_mean(np.array(list(mse.values()))))
-        trials.append({"time_s": time, "distance_m": distance, "fitness_m2": fitness, "mse": mse})
-    best = min(trials, key=lambda trial: float(trial["fitness_m2"]))
-    return TunedGains((best["time_s"], best["distance_m"]), table3, table3), trials
 
 
 def gain_dimensions(switches: Switches) -> list[Dimension]:
@@ -300,127 +370,22 @@ def aborted_mse(drive: Drive, car: Entry) -> float:
     return float((np.sum(error**2) + missing * ABORT_ERROR**2) / (len(error) + missing))
 
 
-def switch_effects(plan: StudyPlan, tuned: TunedGains, step: StepCallback) -> dict[str, Any]:
-    """Drive with one difference at a time taken from the authors' code, then with all of them."""
-    effects: dict[str, Any] = {}
-    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
-    cases = {"none": frozenset(), **cases, "all": frozenset(DRIVE_SWITCHES)}
-    for name, switches in cases.items():
-        effects[name] = {
-            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
-            for road in plan.roads
-        }
-        step()
-    return effects
-
-
-def metrics_of(
-    names: Sequence[str],
-    scenario: Scenario,
-    tuned: TunedGains,
-    switches: Switches,
-    **steering: float,
-) -> dict[str, dict[str, Any]]:
-    """Return the metrics of some contenders in a scenario."""
-    return {
-        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
-    }
-
-
-def sweep_increment_weight(roads: Sequence[str], switches: Switches) -> list[dict[str, Any]]:
-    """Return the MSE of the AMPC over R; the other gains are those of Table 3 [m^2]."""
-    table3 = load_gain_table("table3").nodes[0]
-    rows = []
-    for R in INCREMENT_WEIGHTS:
-        tuned = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
-        drives = {
-            name: drive_contender("paper_one", study_scenario(name), tuned, switches)
-            for name in roads
-        }
-        mse = {name: float(np.mean(np.square(d.error))) for name, d in drives.items()}
-        rows.append({"R": R, "mse_m2": mse})
-    return rows
-
-
-def wind_effect(
-    driven: Mapping[str, Mapping[str, SimulatedDrive]], tuned: TunedGains, switches: Switches
-) -> dict[str, Any]:
-    """Return the largest errors with and without wind, on the roads with wind [m]."""
-    effect: dict[str, Any] = {}
-    for name, row in driven.items():
-        windy = study_scenario(name)
-        if not windy.wind:
-            continue
-        calm = {n: drive_contender(n, windy._replace(wind=()), tuned, switches) for n in row}
-        effect[name] = {
-            n: {"wind_m": largest_error(row[n]), "calm_m": largest_error(calm[n])} for n in row
-        }
-    return effect
-
-
-def largest_error(driven: SimulatedDrive) -> float:
-    """Return the largest absolute cross-track error [m]."""
-    return float(np.abs(driven.error).max())
-
-
-def sweep_wind_speed(tuned: TunedGains, switches: Switches) -> list[dict[str, Any]]:
-    """Return the largest errors of AMPC and classic MPC over speed, with and without wind [m]."""
-    rows = []
-    for speed in WIND_SPEEDS:
-        windy = study_scenario("sc3_fast_wind", speed=speed)
-        row = {"speed_mps": speed}
-        for name, (air, scenario) in product(
-            ("paper", "classic"), (("calm", windy._replace(wind=())), ("wind", windy))
-        ):
-            driven = drive_contender(name, scenario, tuned, switches)
-            row[f"{name}_{air}_m"] = largest_error(driven)
-        rows.append(row)
-    return rows
-
-
-def sweep_geometry(tuned: TunedGains, switches: Switches) -> list[dict[str, Any]]:
-    """Return the MSE of the paper's three controllers over the length of the lane change [m^2]."""
-    rows, sc1 = [], study_scenario("sc1")
-    for length in MOVE_LENGTHS:
-        X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
-        back = (X - 30.0 - length - STRAIGHT_LENGTH) / length
-        Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
-        duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
-        scenario = sc1._replace(points=np.column_stack((X, Y)), duration=duration)
-        metrics = metrics_of(("paper", "classic", "pure_pursuit"), scenario, tuned, switches)
-        rows.append({"length_m": length, "mse_m2": {n: m["mse_m2"] for n, m in metrics.items()}})
-    return rows
-
-
-def measure_fragility(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
-    """Return the metrics with unmodelled delay and lag, and with a start beside the path."""
-    names = ("paper", "pure_pursuit", "preview")
-    return {
-        condition: metrics_of(names, study_scenario(name, **changes), tuned, switches, **steering)
-        for condition, (name, changes, steering) in FRAGILITY.items()
-    }
-
-
 def measure_swarms(seeds_each: int, problems: int) -> dict[str, Any]:
     """Return the curves of the swarms on the sphere, final quartiles, medians of the readings."""
     seeds = range(seeds_each)
     runs = {
-        problem: {name: search_curves(METHODS[name], problem, seeds) for name in SWARMS}
+        problem.name: {name: search_curves(METHODS[name], problem, seeds) for name in SWARMS}
         for problem in PROBLEMS[:problems]
     }
-    outcomes = {}
-    for name in readings():
-        medians = reading_medians(name, seeds).tolist()
-        median = dict(zip(READING_VARIANTS, medians, strict=True))
-        outcomes[name] = {"median": median, "holds": all_bars_hold(median)}
+    medians = {name: reading_medians(name, seeds) for name in READINGS}
     return {
-        "curves": {name: values.tolist() for name, values in runs[PROBLEMS[0]].items()},
+        "curves": {name: values.tolist() for name, values in runs[PROBLEMS[0].name].items()},
         "final": {
-            problem.name: {
-                name: np.percentile(values[:, -1], (25, 50, 75)).tolist()
-                for name, values in row.items()
-            }
+            problem: {name: final_quartiles(values) for name, values in row.items()}
             for problem, row in runs.items()
         },
-        "readings": outcomes,
+        "readings": {
+            name: {"median": median, "holds": all(ordering_bars(median).values())}
+            for name, median in medians.items()
+        },
     }

@@ -36,7 +36,6 @@ from launch_scripts.tuning.fleet_rows import (
     prepare_fleet,
     run_fleet,
 )
-from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle
 
 SETTINGS = "table3"
@@ -157,17 +156,21 @@ def combined(cost: Array) -> Array:
 def prepared(node: Node) -> FleetRun:
     """Return the fleet of a node, which is prepared once and never changed."""
     if node.kind == "paper":
-        road = step_to(node.speed, node.reference)
-        entry = _entry(node, Plant("step"), simulated_car(Plant("step"), node.vehicle, road))
-        return prepare_fleet([entry], LOST_ERROR[node.kind])
-    roads = {name: road(node.speed) for name, road in ROADS.items()}
-    cars = [(plant, simulated_car(plant, node.vehicle, roads[plant.road])) for plant in PLANTS]
-    return prepare_fleet([_entry(node, *car) for car in cars], LOST_ERROR[node.kind])
-
-
-def _entry(node: Node, plant: Plant, simulation: Simulation) -> Entry:
+        plants: tuple[Plant, ...] = (Plant("step", "step"),)
+        roads = {"step": step_to(node.speed, node.reference)}
+    else:
+        plants, roads = PLANTS, {name: road(node.speed) for name, road in ROADS.items()}
     settings = load(ControllerSettings, find("controllers", SETTINGS))
-    table, known = GainTable([node.speed], [0.0], [GENTLE]), nominal_vehicle(plant, node.vehicle)
-    if node.formulation == "paper":
-        return Entry(simulation, LateralMpc(known.chassis, settings, table))
-    return Entry(simulation, PreviewMpc(known.chassis, known.steering, settings, table))
+    entries = []
+    for plant in plants:
+        known, table = (
+            nominal_vehicle(plant, node.vehicle),
+            GainTable([node.speed], [0.0], [GENTLE]),
+        )
+        controller: LateralMpc | PreviewMpc
+        if node.formulation == "paper":
+            controller = LateralMpc(known.chassis, settings, table)
+        else:
+            controller = PreviewMpc(known.chassis, known.steering, settings, table)
+        entries.append(Entry(simulated_car(plant, node.vehicle, roads[plant.road]), controller))
+    return prepare_fleet(entries, LOST_ERROR[node.kind])

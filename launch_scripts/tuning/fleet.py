@@ -15,7 +15,7 @@ from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_frame import PathFrame
-from ampc_msgs_config.scenarios.scenario import SpeedProfile, target_speed
+from ampc_msgs_config.scenarios.scenario import SpeedProfile, preview_speed
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.gain_table import Table
 from ampc_ros.mpc.internal_model import unpack_internal_model
@@ -165,7 +165,7 @@ def drive_period(
     k, steps = fleet.road[c], context.period_ns // context.step_ns
     path, profile, elapsed = path_of(roads, k), profile_of(roads, k), tick * context.period_ns
     x, y, yaw = log[STATE], log[STATE + 1], log[STATE + 2]
-    speed, context.places[c] = target_speed(
+    speed, context.places[c] = preview_speed(
         profile, path, context.places[c], elapsed / NANOSECONDS, x, y, yaw
     )
     drive_steps(

@@ -92,10 +92,10 @@ def prepare_fleet(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
         for one, other in zip(entry.controller.table[:2], first.controller.table[:2], strict=True):
             if not np.array_equal(one, other):
                 raise ValueError(f"fleet: gain grids must be the same, not {one} and {other}")
-    scenarios = list({id(entry.simulation.scenario): entry for entry in entries}.values())
-    roads = pack_roads([e.simulation.scenario for e in scenarios], step_ns, period_ns, not preview)
-    positions = {id(entry.simulation.scenario): k for k, entry in enumerate(scenarios)}
-    road: Integers = np.array([positions[id(entry.simulation.scenario)] for entry in entries])
+    scenarios = {id(entry.simulation.scenario): entry.simulation.scenario for entry in entries}
+    roads = pack_roads(list(scenarios.values()), step_ns, period_ns, not preview)
+    keys = list(scenarios)
+    road: Integers = np.array([keys.index(id(entry.simulation.scenario)) for entry in entries])
     return FleetRun(
         roads=roads,
         fleet=pack_fleet(entries, road, period_ns, lost),

@@ -5,7 +5,7 @@ and the shipped table. The report is shown on the screen and written as YAML and
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,13 +22,8 @@ from launch_scripts.tuning.task import (
     SINGLE,
     TABLE,
     TuningTask,
-    build_table,
-    describe_task,
     geometric_mean,
-    held_out_nodes,
     is_reachable,
-    nodes_of,
-    searches_of,
 )
 from launch_scripts.tuning.workers import Workers
 
@@ -102,13 +97,11 @@ class TuningReport(NamedTuple):
         if math.isinf(self.single.overall):
             return "no single gain set brings every car through: table written"
         if self.is_table:
-            return (
-                f"the table beats the best single gain set by {self.advantage:.0%}: table written"
-            )
+            gain = f"{self.advantage:.0%}"
+            return f"the table beats the best single gain set by {gain}: table written"
         if self.advantage >= MIN_ADVANTAGE:
-            return (
-                "between its nodes the table is worse than the best single set: single set written"
-            )
+            reason = "between its nodes the table is worse than the best single set"
+            return f"{reason}: single set written"
         return (
             f"the table does not beat the best single gain set by {MIN_ADVANTAGE:.0%} "
             f"({self.advantage:.0%}): single gain set written"
@@ -119,10 +112,39 @@ class TuningReport(NamedTuple):
         """All candidates, the table first."""
         return (self.table, self.single, *self.others)
 
+    def screen_table(self) -> Table:
+        """Return the table for the screen."""
+        table = Table("gains", "at the nodes", "between the speeds", "lost", box=SIMPLE_HEAD)
+        for item in self.candidates:
+            lost = sum(map(math.isinf, (*item.fitness, *item.held_out)))
+            table.add_row(item.name, f"{item.at_nodes:.4g}", f"{item.between:.4g}", str(lost or ""))
+        return table
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as JSON values; an infinite fitness is null."""
+        return {
+            "verdict": self.verdict,
+            "not_reached": [list(node) for node in self.not_reached],
+            "candidates": {
+                item.name: {
+                    "geometric_mean": finite((item.at_nodes, item.between)),
+                    "fitness": finite(item.fitness),
+                    "held_out": finite(item.held_out),
+                    "gains": [list(gains) for gains in item.table.nodes],
+                }
+                for item in self.candidates
+            },
+        }
+
 
 def mean(values: Sequence[float]) -> float:
     """Return the geometric mean."""
     return float(geometric_mean(np.array(values)))
+
+
+def finite(values: Iterable[float], digits: int = 17) -> list[float | None]:
+    """Return values of a number of digits for JSON or YAML; an infinite one is null."""
+    return [float(f"{each:.{digits}g}") if math.isfinite(each) else None for each in values]
 
 
 def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) -> TuningReport:
@@ -135,7 +157,7 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     gains: dict[tuple[str, int], dict[tuple[float, float], Gains]] = {
         (purpose, seed): {} for purpose in (TABLE, RANDOM, SINGLE) for seed in task.seeds
     }
-    for search in searches_of(task):
+    for search in task.searches():
         found, value = results[search.name]
         if math.isfinite(value):
             node = search.nodes[0]
@@ -143,14 +165,17 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     if not any(gains[TABLE, seed] for seed in task.seeds):
         raise ValueError("search: every car was lost at every node: choose other bounds")
     # all candidates, evaluated at the nodes and half-way between them
-    candidates = [
-        Candidate(f"{purpose}, seed {seed}", build_table(content, task))
+    tables = {
+        f"{purpose}, seed {seed}": task.build_table(content)
         for (purpose, seed), content in gains.items()
         if content
-    ]
-    for name in dict.fromkeys(("table3", DEFAULT_TABLES[task.formulation])):
-        candidates.append(Candidate(f"shipped {name}", load_gain_table(name)))
-    candidates = evaluate(task, candidates, workers)
+    }
+    for name in ("table3", DEFAULT_TABLES[task.formulation]):
+        tables[f"shipped {name}"] = load_gain_table(name)
+    nodes = task.nodes()
+    at_nodes = evaluate_tables(tables, [node for node in nodes if is_reachable(node)], workers)
+    between = evaluate_tables(tables, task.held_out_nodes(), workers)
+    candidates = [Candidate(n, tables[n], at_nodes[n], between[n]) for n in tables]
     # the best table and the best single set over all seeds
     table, single = (
         min(
@@ -165,59 +190,24 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
         single = Candidate(NO_SINGLE, table.table, (math.inf,), (math.inf,))
     others = tuple(item for item in candidates if item not in (table, single))
     own = gains[TABLE, int(table.name.split()[-1])]
-    nodes = [(node.speed, node.reference) for node in nodes_of(task)]
-    return TuningReport(table, single, others, tuple(node for node in nodes if node not in own))
+    places = [(node.speed, node.reference) for node in nodes]
+    return TuningReport(table, single, others, tuple(at for at in places if at not in own))
 
 
-def evaluate(
-    task: TuningTask, candidates: Sequence[Candidate], workers: Workers
-) -> list[Candidate]:
-    """Return the candidates with their fitness at the nodes and at the held-out speeds."""
-
-    def at(nodes: Sequence[Node]) -> list[tuple[float, ...]]:
-        rows = [[c.table.lookup(n.speed, n.reference).gains for c in candidates] for n in nodes]
-        tasks = [
-            workers.executor.submit(fitness, node, np.array(row, dtype=float))
-            for node, row in zip(nodes, rows, strict=True)
-        ]
-        columns = zip(*(task.result().tolist() for task in tasks), strict=True)
-        return list(columns) or [()] * len(candidates)
-
-    at_nodes = at([node for node in nodes_of(task) if is_reachable(node)])
-    between = at(held_out_nodes(task))
-    return [
-        item._replace(fitness=at_nodes[i], held_out=between[i]) for i, item in enumerate(candidates)
+def evaluate_tables(
+    tables: dict[str, GainTable], nodes: Sequence[Node], workers: Workers
+) -> dict[str, tuple[float, ...]]:
+    """Return the fitness of each table at some nodes."""
+    rows = [
+        [table.lookup(node.speed, node.reference).gains for table in tables.values()]
+        for node in nodes
     ]
-
-
-def screen_table(report: TuningReport) -> Table:
-    """Format the report for the screen."""
-    table = Table("gains", "at the nodes", "between the speeds", "lost", box=SIMPLE_HEAD)
-    for item in report.candidates:
-        lost = sum(map(math.isinf, (*item.fitness, *item.held_out)))
-        table.add_row(item.name, f"{item.at_nodes:.4g}", f"{item.between:.4g}", str(lost or ""))
-    return table
-
-
-def report_to_json(report: TuningReport) -> dict[str, Any]:
-    """Return the report as JSON values; an infinite fitness is null."""
-
-    def finite(values: Sequence[float]) -> list[float | None]:
-        return [value if math.isfinite(value) else None for value in values]
-
-    return {
-        "verdict": report.verdict,
-        "not_reached": [list(node) for node in report.not_reached],
-        "candidates": {
-            item.name: {
-                "geometric_mean": finite([item.at_nodes, item.between]),
-                "fitness": finite(item.fitness),
-                "held_out": finite(item.held_out),
-                "gains": [list(gains) for gains in item.table.nodes],
-            }
-            for item in report.candidates
-        },
-    }
+    futures = [
+        workers.executor.submit(fitness, node, np.array(row, dtype=float))
+        for node, row in zip(nodes, rows, strict=True)
+    ]
+    columns = np.reshape([future.result() for future in futures], (len(nodes), len(tables))).T
+    return dict(zip(tables, map(tuple, columns.tolist()), strict=True))
 
 
 def provenance(task: TuningTask, report: TuningReport, command: str) -> dict[str, Any]:
@@ -226,38 +216,36 @@ def provenance(task: TuningTask, report: TuningReport, command: str) -> dict[str
     The fitness is in the order of the rows of the table, null where a node is not reachable.
     """
     best = report.table if report.is_table else report.single
-    fitness_at_nodes = iter(report.table.fitness)
+    at_nodes = iter(report.table.fitness)
     return {
         "command": command,
-        **describe_task(task),
+        **task.describe(),
         "fitness_unit": FITNESS[task.kind],
         "verdict": report.verdict,
         "best_seed": int(best.name.split()[-1]),
         "nodes_not_reached": [list(node) for node in report.not_reached],
-        "node_fitness": [
-            _four_digits(next(fitness_at_nodes)) if is_reachable(node) else None
-            for node in nodes_of(task)
-        ],
+        "node_fitness": finite(
+            (next(at_nodes) if is_reachable(node) else math.inf for node in task.nodes()), 4
+        ),
         "geometric_mean": {
-            item.name: [_four_digits(item.at_nodes), _four_digits(item.between)]
-            for item in report.candidates
+            item.name: finite((item.at_nodes, item.between), 4) for item in report.candidates
         },
     }
 
 
-def table_yaml(task: TuningTask, report: TuningReport, command: str) -> str:
+def table_yaml(task: TuningTask, report: TuningReport, origin: dict[str, Any]) -> str:
     """Return the YAML text of the table, or of the single gain set if that is the verdict.
 
     Args:
         task: The task.
         report: Its result.
-        command: Command that reproduces this file.
+        origin: Provenance.
     """
     lines = [
-        f"# Gains of the {task.formulation} formulation for vehicle "
-        f"{describe_task(task)['vehicle']}, found by particle swarm.",
+        f"# Gains of the {task.formulation} formulation for vehicle {origin['vehicle']}, "
+        "found by particle swarm.",
         f"# {report.verdict[0].upper()}{report.verdict[1:]}.",
-        f"# Again: {command}",
+        f"# Again: {origin['command']}",
     ]
     if report.is_table:
         with_references = len(task.references) > 1
@@ -274,21 +262,16 @@ def table_yaml(task: TuningTask, report: TuningReport, command: str) -> str:
         ends = sorted({task.speeds[0], task.speeds[-1]})
         row = _gains_yaml(report.single.table.nodes[0])
         lines += [f"speed: {ends} # m/s", "gains:", *(f"  - {row}" for _ in ends)]
-    origin = yaml.safe_dump({"provenance": provenance(task, report, command)}, width=100,
-                            sort_keys=False, default_flow_style=None)  # fmt: skip
-    return "\n".join([*lines, origin])
+    text = yaml.safe_dump({"provenance": origin}, width=100, sort_keys=False,
+                          default_flow_style=None)  # fmt: skip
+    return "\n".join([*lines, text])
 
 
 def _gains_yaml(gains: Gains) -> str:
-    fields = ", ".join(f"{key}: {_number_yaml(value)}" for key, value in gains._asdict().items())
-    return f"{{{fields}}}"
-
-
-def _number_yaml(value: float) -> str:
-    """Return a number that YAML 1.1 reads as such: `1e-05` would be a string."""
-    text = repr(value)
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
-
-
-def _four_digits(value: float) -> float | None:
-    return float(f"{value:.4g}") if math.isfinite(value) else None
+    """Return a row; YAML 1.1 would read a number such as `1e-05` as a string."""
+    texts = {key: repr(value) for key, value in gains._asdict().items()}
+    fields = [
+        f"{key}: {text.replace('e', '.0e') if 'e' in text and '.' not in text else text}"
+        for key, text in texts.items()
+    ]
+    return f"{{{', '.join(fields)}}}"

@@ -16,11 +16,12 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.minimize import search as search_with_swarm
 from ampc_ros.pso.swarm import Swarm, swarm_from_json, swarm_to_json
-from launch_scripts.tuning.task import Search, dimensions
+from launch_scripts.tuning.fitness import gains_of_row
+from launch_scripts.tuning.task import Search
 from launch_scripts.tuning.workers import Workers
 
 TASK = "task.json"
-MAX_BYTES = 1_000_000_000
+MAX_CHECKPOINT_BYTES = 1_000_000_000
 """Largest size of a checkpoint."""
 SearchResult = tuple[Gains, float]
 """Best gains and their fitness; infinite if every car left the road."""
@@ -120,7 +121,7 @@ class Checkpoints:
         if not file.exists():
             return None
         try:
-            content = json.loads(read_text(file, MAX_BYTES))
+            content = json.loads(read_text(file, MAX_CHECKPOINT_BYTES))
         except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"{file}: cannot be read: {error}") from error
         if not isinstance(content, dict):
@@ -153,7 +154,7 @@ def run_searches(
         return np.concatenate([task.result() for task in tasks])
 
     def run(item: Search) -> tuple[str, SearchResult]:
-        before, where = checkpoints.load(item.name), dimensions(item.space)
+        before, where = checkpoints.load(item.name), item.space.dimensions
         options = item.settings, item.rng, parallel_map, before
         for swarm in search_with_swarm(item.cost, where, *options):
             if swarm is not before:
@@ -163,7 +164,8 @@ def run_searches(
                 raise SearchStopped
         best = swarm.best_position[swarm.leader]
         rounded = np.where([each.integer for each in where], np.rint(best), best)
-        return item.name, (item.gains(rounded), float(swarm.best_fitness[swarm.leader]))
+        gains = gains_of_row(item.space.gains_at(rounded[None])[0])
+        return item.name, (gains, float(swarm.best_fitness[swarm.leader]))
 
     with ThreadPoolExecutor(min(len(searches), workers.capacity + 1)) as drivers:
         tasks = [drivers.submit(run, item) for item in searches]

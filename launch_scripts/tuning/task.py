@@ -7,7 +7,7 @@ gain set that serves all nodes, and one random search for each node as a baselin
 import argparse
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from ampc_msgs_config.validation import check_range, number
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
-from launch_scripts.tuning.fitness import Node, fitness, gains_of_row
+from launch_scripts.tuning.fitness import Node, fitness
 from sim_vehicle.parameters import load_vehicle
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
@@ -29,7 +29,7 @@ SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
 FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
 LOGARITHMIC = ("Q", "R")
 """Gains that are searched in the logarithm: they span decades, and only Q/R matters."""
-DIGITS = 6
+GAIN_DIGITS = 6
 """Significant digits of a gain."""
 REACH = 2.0
 """Largest reachable lateral reference, divided by the speed [s]."""
@@ -44,6 +44,91 @@ class SearchSpace(NamedTuple):
     bounds: tuple[tuple[str, float, float], ...]
     """Symbol, lower and upper bound."""
     fixed: Gains
+
+    @property
+    def dimensions(self) -> list[Dimension]:
+        """Dimensions of the swarm, in the logarithm of LOGARITHMIC gains."""
+        return [
+            Dimension(symbol, math.log10(low), math.log10(high))
+            if symbol in LOGARITHMIC
+            else Dimension(symbol, low, high, FIELDS[symbol] in INTEGERS)
+            for symbol, low, high in self.bounds
+        ]
+
+    def gains_at(self, positions: Array) -> Array:
+        """Return the gains (n, 6) of particles (n, d), with N_c and N limited to N_p."""
+        rows = np.tile(np.array(self.fixed, dtype=float), (len(positions), 1))
+        for column, (symbol, _, _) in enumerate(self.bounds):
+            values = positions[:, column]
+            values = 10.0**values if symbol in LOGARITHMIC else values
+            rows[:, SYMBOLS.index(symbol)] = [float(f"{value:.{GAIN_DIGITS}g}") for value in values]
+        rows[:, 1:3] = np.minimum(rows[:, 1:3], rows[:, :1])
+        return rows
+
+    def mean_fitness(self, nodes: tuple[Node, ...], positions: Array) -> Array:
+        """Return the geometric mean over nodes of the fitness (n,) of particles (n, d)."""
+        gains = self.gains_at(positions)
+        return geometric_mean(np.array([fitness(node, gains) for node in nodes]))
+
+
+def geometric_mean(values: Array) -> Array:
+    """Return the geometric mean over the first axis; infinite where one value is infinite."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.exp(np.log(values).mean(axis=0)))
+
+
+def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
+    """Check the bounds, by symbol, and the fixed gains.
+
+    Raises:
+        ValueError: Names symbol, value and bound.
+    """
+    for symbol in bounds:
+        if symbol not in SYMBOLS:
+            raise ValueError(f"unknown gain {symbol!r}; known are {', '.join(SYMBOLS)}")
+    for symbol, field in FIELDS.items():
+        for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
+            check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
+        check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
+    ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
+    space = SearchSpace(ends, fixed)
+    swarm_space([Dimension(*bound) for bound in space.bounds])
+    swarm_space(space.dimensions)
+    return space
+
+
+class Search(NamedTuple):
+    """One run of the particle swarm."""
+
+    purpose: str
+    """TABLE, SINGLE or RANDOM."""
+    seed: int
+    number: int
+    """Index of the node; for a single set the number of all nodes."""
+    nodes: tuple[Node, ...]
+    space: SearchSpace
+    settings: PsoSettings
+
+    @property
+    def name(self) -> str:
+        """Name of the checkpoint file, also shown to the user."""
+        return f"{self.purpose}_{self.seed}_{self.number:03d}"
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """Random generator, independent of those of all other searches."""
+        key = [self.seed, self.number] + [1] * (self.purpose == RANDOM)
+        return np.random.default_rng(key)
+
+    @property
+    def cost(self) -> partial[Array]:
+        """Fitness (n,) as a function of particles (n, d); can be pickled."""
+        return partial(self.space.mean_fitness, self.nodes)
+
+    @property
+    def drives(self) -> int:
+        """Number of nodes that are evaluated in a generation."""
+        return self.settings.particles * len(self.nodes)
 
 
 class TuningTask(NamedTuple):
@@ -62,6 +147,101 @@ class TuningTask(NamedTuple):
     space: SearchSpace
     settings: PsoSettings
     seeds: tuple[int, ...]
+
+    def check(self) -> None:
+        """Check the axes of the table, the seeds, and that a node is reachable.
+
+        Raises:
+            ValueError: Names key, value and bound.
+        """
+        for key, axis, low in (("speeds", self.speeds, 0.5), ("references", self.references, -100)):
+            if not axis:
+                raise ValueError(f"{key} = [] must have at least one value")
+            for i, value in enumerate(axis):
+                check_range(f"{key}[{i}]", value, number(low, 100.0))
+                if i and value <= axis[i - 1]:
+                    raise ValueError(f"{key}[{i}] = {value:g} must be greater than {axis[i - 1]:g}")
+        if self.kind != "paper" and self.references != (0.0,):
+            raise ValueError(f"references = {list(self.references)} must be [0] for fitness robust")
+        if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds = {list(self.seeds)} must be different and not negative")
+        if not any(map(is_reachable, self.nodes())):
+            raise ValueError(f"references: none is reachable, |y| <= {REACH:g} s v, at any speed")
+
+    def nodes(self, speeds: tuple[float, ...] | None = None) -> list[Node]:
+        """Return the nodes in the order of a gain table, at its speeds or at others [m/s]."""
+        vehicle = load_vehicle(find("vehicles", self.vehicle))
+        return [
+            Node(vehicle, self.formulation, self.kind, speed, reference)
+            for speed in (self.speeds if speeds is None else speeds)
+            for reference in self.references
+        ]
+
+    def held_out_nodes(self) -> list[Node]:
+        """Return the nodes half-way between the speeds of the table, which no search evaluates."""
+        between = tuple((a + b) / 2 for a, b in zip(self.speeds, self.speeds[1:], strict=False))
+        return [node for node in self.nodes(between) if is_reachable(node)]
+
+    def searches(self) -> list[Search]:
+        """Return all searches, the largest first; each purpose drives the same number of cars."""
+        nodes, swarm = self.nodes(), self.settings
+        reachable = [(i, (node,)) for i, node in enumerate(nodes) if is_reachable(node)]
+        everywhere = [(len(nodes), tuple(node for _, (node,) in reachable))]
+        samples = PsoSettings(particles=swarm.particles * (swarm.generations + 1), generations=0)
+        return [
+            Search(purpose, seed, i, chosen, self.space, settings)
+            for purpose, group, settings in (
+                (SINGLE, everywhere, swarm),
+                (TABLE, reachable, swarm),
+                (RANDOM, reachable, samples),
+            )
+            for seed in self.seeds
+            for i, chosen in group
+        ]
+
+    def describe(self) -> dict[str, Any]:
+        """Return the task as JSON and YAML values, for checkpoints and the origin of a table."""
+        tuned = {symbol: [low, high] for symbol, low, high in self.space.bounds}
+        fixed = zip(SYMBOLS, self.space.fixed, strict=True)
+        file = Path(self.vehicle)
+        return {
+            "version": __version__,
+            "vehicle": file.name if file.is_file() else self.vehicle,
+            "vehicle_sha256": sha256(find("vehicles", self.vehicle).read_bytes()),
+            "drives_sha256": sha256(DEFINITION.encode()),
+            "formulation": self.formulation,
+            "fitness": self.kind,
+            "speed": list(self.speeds),
+            "lateral_reference": list(self.references),
+            "bounds": tuned,
+            "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
+            "swarm": "proposed",
+            "particles": self.settings.particles,
+            "generations": self.settings.generations,
+            "seeds": list(self.seeds),
+        }
+
+    def build_table(self, gains: Mapping[Bounds, Gains]) -> GainTable:
+        """Build a gain table from gains by speed and lateral reference.
+
+        A node without gains takes those of the nearest node, at the same speed where one exists.
+        """
+
+        def nearest(speed: float, y: float) -> Gains:
+            return gains[min(gains, key=lambda at: (abs(at[0] - speed), abs(at[1] - y)))]
+
+        nodes = [nearest(speed, y) for speed in self.speeds for y in self.references]
+        return GainTable(list(self.speeds), list(self.references), nodes)
+
+
+def is_reachable(node: Node) -> bool:
+    """Check whether a car can reach the lateral reference of a node at its speed."""
+    return abs(node.reference) <= REACH * node.speed
+
+
+def sha256(content: bytes) -> str:
+    """Return the SHA-256 of some bytes in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
 
 
 DEFAULT_BOUNDS: dict[str, dict[str, Bounds]] = {
@@ -111,53 +291,8 @@ PRESETS = {
 """Default task of each formulation; its space holds the fixed gains."""
 
 
-class Search(NamedTuple):
-    """One run of the particle swarm."""
-
-    purpose: str
-    """TABLE, SINGLE or RANDOM."""
-    seed: int
-    number: int
-    """Index of the node; for a single set the number of all nodes."""
-    nodes: tuple[Node, ...]
-    space: SearchSpace
-    settings: PsoSettings
-
-    @property
-    def name(self) -> str:
-        """Name of the checkpoint file, also shown to the user."""
-        return f"{self.purpose}_{self.seed}_{self.number:03d}"
-
-    @property
-    def rng(self) -> np.random.Generator:
-        """Random generator, independent of those of all other searches."""
-        key = [self.seed, self.number] + [1] * (self.purpose == RANDOM)
-        return np.random.default_rng(key)
-
-    @property
-    def cost(self) -> partial[Array]:
-        """Fitness (n,) as a function of particles (n, d); can be pickled."""
-        return partial(mean_fitness, self.nodes, self.space)
-
-    def gains(self, position: Array) -> Gains:
-        """Return the gains of one particle (d,)."""
-        return gains_of_row(gains_at(self.space, position[None])[0])
-
-
-def mean_fitness(nodes: tuple[Node, ...], where: SearchSpace, positions: Array) -> Array:
-    """Return the geometric mean over nodes of the fitness (n,) of particles (n, d)."""
-    gains = gains_at(where, positions)
-    return geometric_mean(np.array([fitness(node, gains) for node in nodes]))
-
-
-def geometric_mean(values: Array) -> Array:
-    """Return the geometric mean over the first axis; infinite where one value is infinite."""
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.exp(np.log(values).mean(axis=0)))
-
-
 def read_task(chosen: argparse.Namespace) -> TuningTask:
-    """Build the task from the options of `tune.py`.
+    """Build the task from the options of `tune.py`; an option that is None is that of the preset.
 
     Raises:
         ValueError: Names option or key, value and bound.
@@ -168,34 +303,28 @@ def read_task(chosen: argparse.Namespace) -> TuningTask:
     swarm = {key: getattr(chosen, key) for key in ("particles", "generations")}
     for key, value in swarm.items():
         swarm[key] = getattr(preset.settings, key) if value is None else value
-    task = TuningTask(
-        chosen.vehicle,
-        chosen.formulation,
-        kind,
-        preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
-        references if chosen.references is None else tuple(chosen.references),
-        search_space(
-            read_bounds(chosen.bounds, chosen.formulation, chosen.tune),
-            read_fixed(chosen.fix, preset.space.fixed),
-        ),
-        PsoSettings(**swarm),
-        tuple(chosen.seeds),
+    task = preset._replace(
+        vehicle=chosen.vehicle,
+        kind=kind,
+        speeds=preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
+        references=references if chosen.references is None else tuple(chosen.references),
+        space=read_space(chosen, preset.space.fixed._asdict()),
+        settings=PsoSettings(**swarm),
+        seeds=tuple(chosen.seeds),
     )
-    check_task(task)
+    task.check()
     return task
 
 
-def read_bounds(
-    texts: Sequence[str], formulation: str, tuned: Sequence[str] | None
-) -> dict[str, Bounds]:
-    """Return the bounds of the tuned gains; texts such as `R=1:1e4` replace the defaults.
+def read_space(chosen: argparse.Namespace, fixed: dict[str, Any]) -> SearchSpace:
+    """Return the search space: `--tune`, `--bounds R=1:1e4` and `--fix N_p=25`.
 
     Raises:
         ValueError: Names the text that cannot be parsed, or the gain that is not tuned.
     """
-    tuned = tuned or DEFAULT_TUNED[formulation]
-    bounds = {symbol: DEFAULT_BOUNDS[formulation][symbol] for symbol in tuned}
-    for text in texts:
+    tuned = chosen.tune or DEFAULT_TUNED[chosen.formulation]
+    bounds = {symbol: DEFAULT_BOUNDS[chosen.formulation][symbol] for symbol in tuned}
+    for text in chosen.bounds:
         symbol, _, ends = text.partition("=")
         low, _, high = ends.partition(":")
         if symbol in SYMBOLS and symbol not in tuned:
@@ -204,17 +333,7 @@ def read_bounds(
             bounds[symbol] = (float(low), float(high))
         except ValueError as error:
             raise ValueError(f"--bounds {text}: must look like R=1:1e4") from error
-    return bounds
-
-
-def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
-    """Return the default gains with replacements such as `N_p=25`.
-
-    Raises:
-        ValueError: Names the text that cannot be parsed.
-    """
-    fixed = default._asdict()
-    for text in texts:
+    for text in chosen.fix:
         symbol, _, value = text.partition("=")
         if symbol not in SYMBOLS:
             raise ValueError(f"--fix {text}: unknown gain; known are {', '.join(SYMBOLS)}")
@@ -223,141 +342,4 @@ def read_fixed(texts: Sequence[str], default: Gains) -> Gains:
             fixed[field] = int(value) if field in INTEGERS else float(value)
         except ValueError as error:
             raise ValueError(f"--fix {text}: must look like {symbol}=25") from error
-    return Gains(**fixed)
-
-
-def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
-    """Check the bounds, by symbol, and the fixed gains.
-
-    Raises:
-        ValueError: Names symbol, value and bound.
-    """
-    for symbol in bounds:
-        if symbol not in SYMBOLS:
-            raise ValueError(f"unknown gain {symbol!r}; known are {', '.join(SYMBOLS)}")
-    for symbol, field in FIELDS.items():
-        for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
-            check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
-        check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
-    ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
-    swarm_space([Dimension(*bound) for bound in ends])
-    swarm_space(dimensions(SearchSpace(ends, fixed)))
-    return SearchSpace(ends, fixed)
-
-
-def dimensions(where: SearchSpace) -> list[Dimension]:
-    """Return the dimensions of the swarm, in the logarithm of LOGARITHMIC gains."""
-    return [
-        Dimension(symbol, math.log10(low), math.log10(high))
-        if symbol in LOGARITHMIC
-        else Dimension(symbol, low, high, FIELDS[symbol] in INTEGERS)
-        for symbol, low, high in where.bounds
-    ]
-
-
-def gains_at(where: SearchSpace, positions: Array) -> Array:
-    """Return the gains (n, 6) of particles (n, d), with N_c and N limited to N_p."""
-    rows = np.tile(np.array(where.fixed, dtype=float), (len(positions), 1))
-    for column, (symbol, _, _) in enumerate(where.bounds):
-        values = positions[:, column]
-        values = 10.0**values if symbol in LOGARITHMIC else values
-        rows[:, SYMBOLS.index(symbol)] = [float(f"{value:.{DIGITS}g}") for value in values]
-    rows[:, 1:3] = np.minimum(rows[:, 1:3], rows[:, :1])
-    return rows
-
-
-def check_task(task: TuningTask) -> None:
-    """Check the axes of the table, the seeds, and that a node is reachable.
-
-    Raises:
-        ValueError: Names key, value and bound.
-    """
-    for key, axis in (("speeds", task.speeds), ("references", task.references)):
-        low = 0.5 if key == "speeds" else -100.0
-        if not axis:
-            raise ValueError(f"{key} = [] must have at least one value")
-        for i, value in enumerate(axis):
-            check_range(f"{key}[{i}]", value, number(low, 100.0))
-            if i and value <= axis[i - 1]:
-                raise ValueError(f"{key}[{i}] = {value:g} must be greater than {axis[i - 1]:g}")
-    if task.kind != "paper" and task.references != (0.0,):
-        raise ValueError(f"references = {list(task.references)} must be [0] for fitness robust")
-    if not task.seeds or min(task.seeds) < 0 or len(set(task.seeds)) < len(task.seeds):
-        raise ValueError(f"seeds = {list(task.seeds)} must be different and not negative")
-    if not any(map(is_reachable, nodes_of(task))):
-        raise ValueError(f"references: none is reachable, |y| <= {REACH:g} s v, at any speed")
-
-
-def nodes_of(task: TuningTask, speeds: tuple[float, ...] = ()) -> list[Node]:
-    """Return the nodes in the order of a gain table, at the task's speeds or at others [m/s]."""
-    vehicle = load_vehicle(find("vehicles", task.vehicle))
-    return [
-        Node(vehicle, task.formulation, task.kind, speed, reference)
-        for speed in speeds or task.speeds
-        for reference in task.references
-    ]
-
-
-def is_reachable(node: Node) -> bool:
-    """Check whether a car can reach the lateral reference of a node at its speed."""
-    return abs(node.reference) <= REACH * node.speed
-
-
-def held_out_nodes(task: TuningTask) -> list[Node]:
-    """Return the nodes half-way between the speeds of the table, which no search evaluates."""
-    between = tuple((a + b) / 2 for a, b in zip(task.speeds, task.speeds[1:], strict=False))
-    return [node for node in nodes_of(task, between) if is_reachable(node)] if between else []
-
-
-def searches_of(task: TuningTask) -> list[Search]:
-    """Return all searches, the largest first; each purpose drives the same number of cars."""
-    nodes, swarm = nodes_of(task), task.settings
-    reachable = [(i, node) for i, node in enumerate(nodes) if is_reachable(node)]
-    everywhere = tuple(node for _, node in reachable)
-    samples = PsoSettings(particles=swarm.particles * (swarm.generations + 1), generations=0)
-    singles, tables, randoms = [], [], []
-    for seed in task.seeds:
-        singles.append(Search(SINGLE, seed, len(nodes), everywhere, task.space, swarm))
-        tables += [Search(TABLE, seed, i, (node,), task.space, swarm) for i, node in reachable]
-        randoms += [Search(RANDOM, seed, i, (node,), task.space, samples) for i, node in reachable]
-    return singles + tables + randoms
-
-
-def describe_task(task: TuningTask) -> dict[str, Any]:
-    """Return the task as JSON and YAML values, for checkpoints and the provenance of a table."""
-    tuned = {symbol for symbol, _, _ in task.space.bounds}
-    fixed = zip(SYMBOLS, task.space.fixed, strict=True)
-    return {
-        "version": __version__,
-        "vehicle": task.vehicle if not Path(task.vehicle).is_file() else Path(task.vehicle).name,
-        "vehicle_sha256": sha256(find("vehicles", task.vehicle).read_bytes()),
-        "drives_sha256": sha256(DEFINITION.encode()),
-        "formulation": task.formulation,
-        "fitness": task.kind,
-        "speed": list(task.speeds),
-        "lateral_reference": list(task.references),
-        "bounds": {symbol: [low, high] for symbol, low, high in task.space.bounds},
-        "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
-        "swarm": "proposed",
-        "particles": task.settings.particles,
-        "generations": task.settings.generations,
-        "seeds": list(task.seeds),
-    }
-
-
-def sha256(content: bytes) -> str:
-    """Return the SHA-256 of some bytes in hexadecimal digits."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def build_table(gains: Mapping[tuple[float, float], Gains], task: TuningTask) -> GainTable:
-    """Build a gain table from gains by speed and lateral reference.
-
-    A node without gains takes those of the nearest node, at the same speed where one exists.
-    """
-
-    def nearest(speed: float, reference: float) -> Gains:
-        return gains[min(gains, key=lambda at: (abs(at[0] - speed), abs(at[1] - reference)))]
-
-    nodes = [nearest(speed, y) for speed in task.speeds for y in task.references]
-    return GainTable(list(task.speeds), list(task.references), nodes)
+    return search_space(bounds, Gains(**fixed))

@@ -8,10 +8,10 @@ from ampc_msgs_config.types import Array, VehicleState
 from ampc_msgs_config.validation import check_range, number
 from sim_vehicle.measurement import Deviations, measured, noisy
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
-from sim_vehicle.vehicle import SIZE, STEERING, V_X, WORK_SIZE, drive_steps
+from sim_vehicle.vehicle import CAR_STEERING, CAR_V_X, SIZE, WORK_SIZE, drive_steps
 from sim_vehicle.vehicle_row import vehicle_numbers
 
-RANGES = {
+CAR_RANGES = {
     "x": number(-1.0e9, 1.0e9, "m"),
     "y": number(-1.0e9, 1.0e9, "m"),
     "yaw": number(-1.0e3, 1.0e3, "rad"),
@@ -63,7 +63,7 @@ class Car:
         if noise is not None and rng is None:
             raise ValueError("noise needs rng, a numpy Generator")
         self.state: Array = np.zeros(SIZE)
-        self.state[: V_X + 1] = x, y, yaw, speed
+        self.state[: CAR_V_X + 1] = x, y, yaw, speed
         self.waiting: Array = np.zeros(round(vehicle.steering.delay / step))
         self._numbers, self._step = vehicle_numbers(vehicle), step
         self._work = np.empty(WORK_SIZE)
@@ -73,7 +73,7 @@ class Car:
     @property
     def steering(self) -> float:
         """Road-wheel angle [rad]."""
-        return float(self.state[STEERING])
+        return float(self.state[CAR_STEERING])
 
     def advance(self, steering: float, target_speed: float, wind: Array) -> None:
         """Integrate one control period: one step for each sample of the wind.
@@ -116,4 +116,4 @@ class Car:
 
 def _check(**values: float) -> None:
     for name, value in values.items():
-        check_range(name, value, RANGES[name])
+        check_range(name, value, CAR_RANGES[name])

@@ -18,7 +18,7 @@ from sim_vehicle.closed_loop import STEP_NS, Simulation
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
 
-class Configuration(NamedTuple):
+class SimulatorConfiguration(NamedTuple):
     """Car, road and drive; the start follows from the scenario."""
 
     vehicle: Vehicle
@@ -45,8 +45,8 @@ class Configuration(NamedTuple):
         )
 
 
-def to_yaml(config: Configuration) -> str:
-    """Write a configuration as text that `from_yaml` reads back."""
+def simulator_text(config: SimulatorConfiguration) -> str:
+    """Write a configuration as text that `read_simulator` reads back."""
     return document(
         {
             **config._asdict(),
@@ -57,7 +57,7 @@ def to_yaml(config: Configuration) -> str:
     )
 
 
-def from_yaml(text: str, where: str) -> Configuration:
+def read_simulator(text: str, where: str) -> SimulatorConfiguration:
     """Read a configuration.
 
     Args:
@@ -68,11 +68,11 @@ def from_yaml(text: str, where: str) -> Configuration:
         ValueError: Source, key, value and bound.
     """
     content, _ = read_document(text, where)
-    for key in Configuration._fields:  # a recorded configuration is complete
+    for key in SimulatorConfiguration._fields:  # a recorded configuration is complete
         if key not in content:
             raise ValueError(f"{where}: missing key {key!r}")
     scenario = read_scenario(content["scenario"], where, "scenario")
-    return build(Configuration, {**content, "scenario": scenario}, where)
+    return build(SimulatorConfiguration, {**content, "scenario": scenario}, where)
 
 
 def simulation_of(text: str, where: str) -> Simulation:
@@ -81,7 +81,7 @@ def simulation_of(text: str, where: str) -> Simulation:
     Raises:
         ValueError: Source, key, value and bound.
     """
-    config = from_yaml(text, where)
+    config = read_simulator(text, where)
     try:
         return config.simulation()
     except ValueError as error:

@@ -9,7 +9,7 @@ WALKING_SPEED = 1.0
 """Speed below which the power of the engine is no limit [m/s]."""
 ROLLING_SPEED = 0.1
 """Speed at which the rolling resistance has risen to 71 % [m/s]."""
-STANDSTILL = 0.05
+REST_SPEED = 0.05
 """Speed below which the brakes fade out, and the parking brake acts after a stop [m/s]."""
 SIDEWAYS = 0.5
 """Largest lateral speed at which the parking brake holds the car [m/s]."""
@@ -50,10 +50,10 @@ def pedal_forces(
 @inlined
 def longitudinal_demand(rolling: float, engine: float, brake: float) -> float:
     """Return the force that engine and brake demand from a wheel rolling at this velocity [N]."""
-    return engine - brake * min(max(rolling * (1.0 / STANDSTILL), -1.0), 1.0)
+    return engine - brake * min(max(rolling * (1.0 / REST_SPEED), -1.0), 1.0)
 
 
 @inlined
 def stands(v_x: float, v_y: float, target: float) -> bool:
     """Return whether the parking brake holds the car: standstill is requested and reached."""
-    return target < STANDSTILL and abs(v_x) < STANDSTILL and abs(v_y) < SIDEWAYS
+    return target < REST_SPEED and abs(v_x) < REST_SPEED and abs(v_y) < SIDEWAYS

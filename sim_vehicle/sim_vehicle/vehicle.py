@@ -29,22 +29,22 @@ from sim_vehicle.wheels import (
     wheel_loads,
 )
 
-X, Y, YAW, V_X, V_Y, YAW_RATE = range(6)
+CAR_X, CAR_Y, CAR_YAW, CAR_V_X, CAR_V_Y, CAR_YAW_RATE = range(6)
 A_X, A_Y = 6, 7
 """Lagged accelerations, which determine the wheel loads [m/s^2]."""
 CORNERING = 8
 """Lagged cornering drag, which the driver compensates [N]."""
 SLIP = 9
 """Transient slip of the first of the four wheels."""
-STEERING = 13
+CAR_STEERING = 13
 """Road-wheel angle [rad]."""
 SIZE = 14
 STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
 """Classical Runge-Kutta method: time of each stage in steps, and its weight in sixths."""
-BODY = SLIP
+BODY_SIZE = SLIP
 """Number of states of the body, which come first."""
-BODY_RATE, BODY_TOTAL, BODY_TRIAL = LANES, LANES + BODY, LANES + 2 * BODY
-WORK_SIZE = LANES + 3 * BODY
+BODY_RATE, BODY_TOTAL, BODY_TRIAL = LANES, LANES + BODY_SIZE, LANES + 2 * BODY_SIZE
+WORK_SIZE = LANES + 3 * BODY_SIZE
 """Size of the scratch array; its contents are undefined between calls."""
 
 
@@ -73,9 +73,9 @@ def derivative(
     m, I_z, _, _, _, _ = vehicle.chassis
     _, _, _, load_lag = vehicle.body
     now, rate = BODY_TRIAL, BODY_RATE
-    v_x, v_y, r = work[now + V_X], work[now + V_Y], work[now + YAW_RATE]
+    v_x, v_y, r = work[now + CAR_V_X], work[now + CAR_V_Y], work[now + CAR_YAW_RATE]
     a_x, a_y, cornering = work[now + A_X], work[now + A_Y], work[now + CORNERING]
-    sin, cos = sine_and_cosine(work[now + YAW])
+    sin, cos = sine_and_cosine(work[now + CAR_YAW])
     X_air, Y_air, N_air = air_forces((v_x, v_y), (cos, sin), wind, vehicle.air)
     rolling = rolling_resistance(v_x, m, vehicle.powertrain)
     resistance = rolling - X_air + cornering
@@ -84,11 +84,11 @@ def derivative(
     wheel_forces(work, (v_x, v_y, r), loads, pedals, road, stage)
     X_tyre, Y_tyre, N_tyre, F_wheels = tyre_sums(work)
     a_x_now, a_y_now = (X_tyre + X_air - rolling) * (1.0 / m), (Y_tyre + Y_air) * (1.0 / m)
-    work[rate + X], work[rate + Y] = cos * v_x - sin * v_y, sin * v_x + cos * v_y
-    work[rate + YAW], work[rate + YAW_RATE] = r, (N_tyre + N_air) * (1.0 / I_z)
+    work[rate + CAR_X], work[rate + CAR_Y] = cos * v_x - sin * v_y, sin * v_x + cos * v_y
+    work[rate + CAR_YAW], work[rate + CAR_YAW_RATE] = r, (N_tyre + N_air) * (1.0 / I_z)
     parked = stands(v_x, v_y, target_speed)
-    work[rate + V_X] = 0.0 if parked else a_x_now + r * v_y
-    work[rate + V_Y] = a_y_now - r * v_x
+    work[rate + CAR_V_X] = 0.0 if parked else a_x_now + r * v_y
+    work[rate + CAR_V_Y] = a_y_now - r * v_x
     work[rate + A_X] = (a_x_now - a_x) * (1.0 / load_lag)
     work[rate + A_Y] = (a_y_now - a_y) * (1.0 / load_lag)
     drag = F_wheels - X_tyre - m * r * v_y
@@ -106,18 +106,18 @@ def rk4_step(
 ) -> None:
     """Advance the state of body and slips in place by one step; see `derivative`."""
     step = road[1]
-    for i in range(BODY):
+    for i in range(BODY_SIZE):
         work[BODY_RATE + i] = work[BODY_TOTAL + i] = 0.0
     for i in range(WHEELS):
         work[S_RATE + i] = work[S_TOTAL + i] = 0.0
     for ahead, weight in STAGES:
         reach = ahead * step
-        for i in range(BODY):
+        for i in range(BODY_SIZE):
             work[BODY_TRIAL + i] = state[i] + reach * work[BODY_RATE + i]
         derivative(work, target_speed, wind, road, (reach, weight), vehicle)
-        for i in range(BODY):
+        for i in range(BODY_SIZE):
             work[BODY_TOTAL + i] += weight * work[BODY_RATE + i]
-    for i in range(BODY):
+    for i in range(BODY_SIZE):
         state[i] += step / 6.0 * work[BODY_TOTAL + i]
     for i in range(WHEELS):
         work[S + i] += step / 6.0 * work[S_TOTAL + i]
@@ -158,12 +158,14 @@ def drive_steps(
     share, road = lag_share(step, vehicle.steering), (friction, step)
     for i in range(steps):
         delayed = delayed_command(waiting, command, i)
-        state[STEERING] = next_angle(state[STEERING], delayed, share, step, vehicle.steering)
-        set_steering(work, state[STEERING])
+        state[CAR_STEERING] = next_angle(
+            state[CAR_STEERING], delayed, share, step, vehicle.steering
+        )
+        set_steering(work, state[CAR_STEERING])
         air = wind[first + i, 0], wind[first + i, 1]
         rk4_step(state, target_speed, air, road, vehicle, work)
-        if stands(state[V_X], state[V_Y], target_speed):
-            state[V_X] = 0.0
+        if stands(state[CAR_V_X], state[CAR_V_Y], target_speed):
+            state[CAR_V_X] = 0.0
     for i in range(WHEELS):
         state[SLIP + i] = work[S + i]
     shift_queue(waiting, command, steps)

@@ -25,7 +25,7 @@ class VehicleNumbers(NamedTuple):
 
 
 SECTION_STARTS = (0, 6, 10, 14, 23, 32, 36, 43)
-CHASSIS, STEERING, BODY, FRONT_TYRE, REAR_TYRE, AIR, POWERTRAIN, ROW_SIZE = SECTION_STARTS
+CHASSIS, SERVO, BODY, FRONT_TYRE, REAR_TYRE, AIR, POWERTRAIN, VEHICLE_ROW_SIZE = SECTION_STARTS
 """Positions of the sections in a row, and the size of the row."""
 
 
@@ -70,7 +70,7 @@ def tyre_numbers(tyre: TyreParameters, stiffness: float, static_load: float) -> 
 
 
 def pack_vehicle(vehicle: Vehicle) -> Array:
-    """Return the parameters of a vehicle as a row (ROW_SIZE,), section after section.
+    """Return the parameters of a vehicle as a row (VEHICLE_ROW_SIZE,), section after section.
 
     Raises:
         ValueError: A section does not begin where `unpack_vehicle` reads it.
@@ -84,10 +84,10 @@ def pack_vehicle(vehicle: Vehicle) -> Array:
 
 @in_place
 def unpack_vehicle(row: Array) -> VehicleNumbers:
-    """Return the parameters in a row (ROW_SIZE,) as tuples."""
+    """Return the parameters in a row (VEHICLE_ROW_SIZE,) as tuples."""
     return VehicleNumbers(
         chassis=_four(row, CHASSIS) + _two(row, CHASSIS + 4),
-        steering=_four(row, STEERING),
+        steering=_four(row, SERVO),
         body=_four(row, BODY),
         front_tyre=_four(row, FRONT_TYRE) + _four(row, FRONT_TYRE + 4) + (row[FRONT_TYRE + 8],),
         rear_tyre=_four(row, REAR_TYRE) + _four(row, REAR_TYRE + 4) + (row[REAR_TYRE + 8],),

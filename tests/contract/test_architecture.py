@@ -1,6 +1,7 @@
 """The layout of DESIGN section 1: which folder may import which."""
 
 import ast
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,10 @@ COMMANDS = {"start", "report", "replay", "recover", "compare", "tune", "reproduc
 COMMANDS |= {"compile_all", "setup", "__init__"}
 """Files at the top of launch_scripts."""
 STUDY = {"launch_scripts.study", "launch_scripts.reproduce"}
+REPEATED = {"main", "parse_arguments", "read_options", "__all__"}
+"""Names that every command or package may define."""
+MOST_REPEATED = 30
+"""Other names that are defined at the top level of more than one file."""
 LARGEST_FOLDER = 20
 """Modules in a folder of product code."""
 
@@ -95,6 +100,26 @@ def test_no_folder_of_product_code_is_overfull() -> None:
     folders = {file.parent for file in PRODUCT}
     sizes = {folder.relative_to(ROOT): len(list(folder.glob("*.py"))) for folder in folders}
     assert max(sizes.values()) <= LARGEST_FOLDER, sizes
+
+
+def test_few_top_level_names_are_defined_twice() -> None:
+    files: dict[str, set[str]] = defaultdict(set)
+    for file in PRODUCT:
+        for statement in ast.parse(file.read_text(encoding="utf-8")).body:
+            for name in defined_names(statement) - REPEATED:
+                files[name].add(str(file.relative_to(ROOT)))
+    repeated = {name: sorted(each) for name, each in files.items() if len(each) > 1}
+    assert len(repeated) <= MOST_REPEATED, repeated
+
+
+def defined_names(statement: ast.stmt) -> set[str]:
+    """Return the names that a statement of a module defines."""
+    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+        return {statement.name}
+    targets = statement.targets if isinstance(statement, ast.Assign) else []
+    targets = [statement.target] if isinstance(statement, ast.AnnAssign) else targets
+    nodes = (node for target in targets for node in ast.walk(target))
+    return {node.id for node in nodes if isinstance(node, ast.Name)}
 
 
 @pytest.mark.parametrize("package", sorted(BELOW))

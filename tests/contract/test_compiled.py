@@ -13,8 +13,8 @@ import pytest
 from numba.core.errors import NumbaError
 
 from ampc_msgs_config.compiled import (
-    IN_USE,
     STORED_VERSIONS,
+    USED_WITHIN,
     cache_folder,
     compile_without_allocation,
     compiled,
@@ -62,7 +62,7 @@ def test_the_source_hash_changes_with_a_file_in_any_subfolder(
     file.parent.mkdir(parents=True)
     (package / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("ampc_msgs_config.compiled.PACKAGES", (package.name,))
+    monkeypatch.setattr("ampc_msgs_config.compiled.COMPILED_PACKAGES", (package.name,))
     file.write_text("ONE = 1\n")
     before = source_hash()
     assert source_hash() == before
@@ -129,21 +129,23 @@ def version_folder(base: Path, name: str, age: float) -> Path:
 
 
 def test_a_new_version_removes_old_ones_but_the_newest_and_those_in_use(tmp_path: Path) -> None:
-    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
-    in_use = [version_folder(tmp_path, f"used{i}", IN_USE * 0.9) for i in range(STORED_VERSIONS)]
+    old = [version_folder(tmp_path, f"old{i}", USED_WITHIN * (2 + i)) for i in range(4)]
+    in_use = [
+        version_folder(tmp_path, f"used{i}", USED_WITHIN * 0.9) for i in range(STORED_VERSIONS)
+    ]
     new = open_version(tmp_path, "new")
     assert set(tmp_path.iterdir()) == {new, *in_use}
     assert not any(folder.exists() for folder in old)
 
 
 def test_the_newest_old_versions_stay(tmp_path: Path) -> None:
-    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(4)]
+    old = [version_folder(tmp_path, f"old{i}", USED_WITHIN * (2 + i)) for i in range(4)]
     new = open_version(tmp_path, "new")
     assert set(tmp_path.iterdir()) == {new, *old[: STORED_VERSIONS - 1]}
 
 
 def test_using_a_version_again_removes_nothing_and_marks_it_as_in_use(tmp_path: Path) -> None:
-    old = [version_folder(tmp_path, f"old{i}", IN_USE * (2 + i)) for i in range(5)]
+    old = [version_folder(tmp_path, f"old{i}", USED_WITHIN * (2 + i)) for i in range(5)]
     open_version(tmp_path, "old4")
     assert set(tmp_path.iterdir()) == set(old)
     assert time.time() - old[4].stat().st_mtime < 60.0
@@ -174,10 +176,10 @@ def test_private_option_nrt_of_numba_rejects_a_function_that_allocates() -> None
 def test_private_module_event_of_numba_reports_each_compilation() -> None:
     calls: list[int] = []
 
-    @compiled
-    def double(x: float) -> float:
+    def twice(x: float) -> float:
         return 2.0 * x
 
+    double = compile_without_allocation(twice)  # never loaded from the disk
     with on_compilation(lambda: calls.append(1)):
         double(1.0)
         first = len(calls)

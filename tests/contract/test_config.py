@@ -10,7 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import MAX_BYTES, build, dump, find, load, parse, read, shipped
+from ampc_msgs_config.config import MAX_YAML_BYTES, build, dump, find, load, parse, read, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     ControllerSettings,
@@ -220,7 +220,7 @@ TEXTS: dict[str, str | bytes] = {
     "cannot be read": b"\xff\xfe\x80",
     "not YAML: .*recursion": "[" * 5000,
     "not YAML: .*could not determine a constructor": "a: !!python/object/apply:os.getcwd []",
-    r"\d+ bytes are more than": b" " * (MAX_BYTES + 1),
+    r"\d+ bytes are more than": b" " * (MAX_YAML_BYTES + 1),
     "more than 5000000 values, with aliases replaced": "\n".join(
         [
             "a0: &a0 [1, 2]",

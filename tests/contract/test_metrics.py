@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ampc_msgs_config.metrics import (
+    ALIASES,
     METRICS,
     TABLE,
     Drive,
@@ -143,7 +144,7 @@ def test_distance_is_the_integral_of_the_speed_forward_or_backward() -> None:
 
 
 def test_every_metric_has_its_own_key_and_a_title() -> None:
-    assert len(METRICS) == len(TABLE)
+    assert len(METRICS) == len(TABLE) + len(ALIASES)
     assert all(metric.title for metric in TABLE)
 
 

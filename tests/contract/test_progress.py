@@ -28,7 +28,7 @@ from ampc_msgs_config.paths.path import (
 )
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame, place, set_point
-from ampc_msgs_config.scenarios.scenario import SpeedProfile, target_speed
+from ampc_msgs_config.scenarios.scenario import SpeedProfile, preview_speed
 from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=150, deadline=None, derandomize=True)
@@ -139,7 +139,7 @@ def driven(swarm: Swarm, state: VehicleState, steps: int, results: Array) -> int
         s, index = advance(swarm.path, index, car.x, car.y, car.yaw)
         results[0], results[1] = errors_at(swarm.path, s, car.x, car.y, car.yaw)
         elapsed = (state.stamp_ns - 1_700_000_000_000_000_000) / 1e9
-        results[2], index = target_speed(
+        results[2], index = preview_speed(
             swarm.profile, swarm.path, index, elapsed, car.x, car.y, car.yaw
         )
         results[3], results[4], results[5] = place(swarm.frame, car.x, car.y, car.yaw)

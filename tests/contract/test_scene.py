@@ -10,26 +10,26 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes.scene import (
     CALM,
-    MAX_POINTS,
-    VERMILION,
+    MAX_DRAWN_POINTS,
+    STOP_COLOUR,
     WIND_TIME,
-    Car,
+    Outline,
     Shape,
     View,
     car_of,
     shapes,
-    thinned,
+    thin_points,
     wheel_angles,
 )
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import VehicleState
 
-CAR = Car(wheelbase=2.8, width=1.8, front_overhang=0.9, rear_overhang=1.0)
+CAR = Outline(wheelbase=2.8, width=1.8, front_overhang=0.9, rear_overhang=1.0)
 NORTH = VehicleState(0, 10.0, 20.0, math.pi / 2, 9.0, 0.0, 0.0)
 LINE = np.array([[0.0, 0.0], [5.0, 0.0]])
 
 
-def drawn(view: View, car: Car = CAR) -> dict[tuple[str, int], Shape]:
+def drawn(view: View, car: Outline = CAR) -> dict[tuple[str, int], Shape]:
     """Return the shapes by name and number, which must be unique."""
     found = shapes(view, car)
     by_name = {(shape.name, shape.number): shape for shape in found}
@@ -78,7 +78,7 @@ def test_both_front_wheels_turn_about_one_point(
 
 def test_stop_request_changes_colour_and_text() -> None:
     calm, stop = drawn(View(NORTH)), drawn(View(NORTH, stop=True))
-    assert stop["car", 0].colour == VERMILION != calm["car", 0].colour
+    assert stop["car", 0].colour == STOP_COLOUR != calm["car", 0].colour
     assert "STOP" in stop["text", 0].text
     assert "STOP" not in calm["text", 0].text
     assert "9.0 m/s" in calm["text", 0].text
@@ -101,8 +101,8 @@ def test_wind_blows_from_the_car_in_its_own_direction() -> None:
 @given(st.integers(0, 3000))
 def test_paths_are_thinned_evenly_and_keep_their_ends(count: int) -> None:
     points = np.column_stack((np.arange(count), np.zeros(count)))
-    thin = thinned(points)
-    assert len(thin) == min(count, MAX_POINTS)
+    thin = thin_points(points)
+    assert len(thin) == min(count, MAX_DRAWN_POINTS)
     if count:
         assert (thin[0] == points[0]).all()
         assert (thin[-1] == points[-1]).all()
@@ -113,4 +113,4 @@ def test_paths_are_thinned_evenly_and_keep_their_ends(count: int) -> None:
 @pytest.mark.parametrize("number", [math.nan, math.inf])
 def test_paths_that_are_not_finite_are_refused(number: float) -> None:
     with pytest.raises(ValueError, match="1 numbers are not finite"):
-        thinned(np.array([[0.0, 0.0], [number, 1.0]]))
+        thin_points(np.array([[0.0, 0.0], [number, 1.0]]))

@@ -25,13 +25,13 @@ V = 9.0
 
 
 def state(time: float) -> VehicleState:
-    """Give the state of a car on a straight line along x."""
+    """Return the state of a car on a straight line along x."""
     stamp_ns = START_NS + round(time * NANOSECONDS)
     return VehicleState(stamp_ns, V * time, 0.0, 0.0, V, 0.0, 0.0)
 
 
 def running(until: float = 3.0) -> StateFilter:
-    """Give a filter that has taken a state each 20 ms."""
+    """Return a filter that has taken a state each 20 ms."""
     filtered = StateFilter()
     for i in range(round(until / 0.02) + 1):
         one = state(0.02 * i)
@@ -100,7 +100,7 @@ def test_a_heading_that_jumps_is_refused_where_the_position_returns() -> None:
 
 
 def supervised() -> Supervisor:
-    """Give a controller that may turn the wheel as fast as it likes, on a winding road."""
+    """Return a controller that may turn the wheel as fast as it likes, on a winding road."""
     config = configuration(Choices(guard="track"))
     supervisor = Supervisor(config)
     supervisor.take_path(WAVES, START_NS, START_NS)
@@ -108,7 +108,7 @@ def supervised() -> Supervisor:
 
 
 def on_waves(time: float) -> VehicleState:
-    """Give the state of a car that follows the road."""
+    """Return the state of a car that follows the road."""
     x = 8.9 * time
     yaw = math.atan(0.1 * math.cos(0.05 * x))
     rate = -0.005 * math.sin(0.05 * x) * 8.9

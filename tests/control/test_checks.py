@@ -26,14 +26,14 @@ UP = math.inf
 
 
 def state(seconds: float = 0.0, **changes: Any) -> VehicleState:
-    """Give a state on the way straight on at 9 m/s."""
+    """Return a state on the way straight on at 9 m/s."""
     stamp_ns = START_NS + round(seconds * NANOSECONDS)
     here = VehicleState(stamp_ns, 9.0 * seconds, 0.0, 0.0, 9.0, 0.0, 0.0)
     return here._replace(**changes)
 
 
 def circling(seconds: float, v: float = 9.0, yaw_rate: float = 0.3) -> VehicleState:
-    """Give a state of a steady circle through the origin."""
+    """Return a state of a steady circle through the origin."""
     yaw, radius = yaw_rate * seconds, v / yaw_rate
     stamp_ns = START_NS + round(seconds * NANOSECONDS)
     x, y = radius * math.sin(yaw), radius - radius * math.cos(yaw)
@@ -41,7 +41,7 @@ def circling(seconds: float, v: float = 9.0, yaw_rate: float = 0.3) -> VehicleSt
 
 
 def mirrored(one: VehicleState) -> VehicleState:
-    """Give the same on the other side of the x axis."""
+    """Return the same on the other side of the x axis."""
     return one._replace(y=-one.y, yaw=-one.yaw, v_y=-one.v_y, yaw_rate=-one.yaw_rate)
 
 
@@ -51,7 +51,7 @@ def arrive(filtered: StateFilter, one: VehicleState, late_ns: int = 0) -> StateC
 
 
 def running(until: float = 1.0, step: float = 0.1) -> StateFilter:
-    """Give a filter that has accepted states up to a time."""
+    """Return a filter that has accepted states up to a time."""
     filtered = StateFilter()
     for i in range(round(until / step) + 1):
         assert arrive(filtered, state(i * step)) == ACCEPTED
@@ -244,7 +244,7 @@ def test_a_position_may_differ_by_half_a_metre_from_where_the_speed_takes_it(
 
 
 def lagging(*, behind: float) -> StateFilter:
-    """Give a filter whose last state, of 1 s, was so far behind a car of 8 m/s [m]."""
+    """Return a filter whose last state, of 1 s, was so far behind a car of 8 m/s [m]."""
     filtered = StateFilter()
     for i in range(9):
         late = behind if i == 8 else 0.0

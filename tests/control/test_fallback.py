@@ -69,7 +69,7 @@ class Scripted(Controller):
         self.resets: list[float] = []
 
     def step(self, state: VehicleState, path: Path) -> Plan:
-        """Say it."""
+        """Return the next answer."""
         self.steering = self.says.steering
         return self.says._replace(stamp_ns=state.stamp_ns)
 
@@ -83,18 +83,18 @@ class Scripted(Controller):
 
 
 def scripted(period: float = 0.1) -> tuple[FallbackChain, Scripted]:
-    """Give a ladder, and the controller on top of it."""
+    """Return a ladder, and the controller on top of it."""
     controller = Scripted(period)
     return FallbackChain(made_for(), controller), controller
 
 
 def at(now_ns: int, v_x: float = 9.0, y: float = 0.0, yaw: float = 0.0) -> VehicleState:
-    """Give a state on ROAD."""
+    """Return a state on ROAD."""
     return VehicleState(now_ns, 100.0, y, yaw, v_x, 0.0, 0.0)
 
 
 def ns(seconds: float) -> int:
-    """Give a time [ns]."""
+    """Return a time [ns]."""
     return round(seconds * NANOSECONDS)
 
 
@@ -105,7 +105,7 @@ def driven(trial: Trial, controller: str = "preview", **choices: str) -> Run:
 
 
 def added(trial: Trial, faulty: Run, controller: str = "preview", **choices: str) -> float:
-    """Give the largest difference to the drive without a fault [m]."""
+    """Return the largest difference to the drive without a fault [m]."""
     fine = driven(trial, controller, **choices)
     return float(np.abs(faulty.driven.error - fine.driven.error).max())
 
@@ -430,7 +430,7 @@ def at_rest(name: str) -> Supervisor:
 def climb(
     name: str, faults: list[str], side: float, start: tuple[float, float, float]
 ) -> list[tuple[float, float, float]]:
-    """Give rung, reason and angle of each tick of a sequence of faults, left or right."""
+    """Return rung, reason and angle of each tick of a sequence of faults, left or right."""
     supervisor = at_rest(name)
     supervisor.restart(0.0)
     y, yaw, v_x = start
@@ -454,5 +454,5 @@ def climb(
 
 
 def received(state: VehicleState, age: float) -> Received[VehicleState]:
-    """Give a state that came in some time ago [s]."""
+    """Return a state that came in some time ago [s]."""
     return Received(state, state.stamp_ns - ns(age), state.stamp_ns - ns(age))

@@ -44,7 +44,7 @@ def chassis(car: str) -> ChassisParameters:
 
 
 def alone(car: str) -> FeedForward:
-    """Give the feed-forward of a shipped car whose `odom` describes the centre of gravity."""
+    """Return the feed-forward of a shipped car whose `odom` describes the centre of gravity."""
     return FeedForward(chassis(car), 0.0)
 
 
@@ -99,7 +99,7 @@ def error(trial: Trial) -> Array:
 
 
 def circling(radius: float, v_x: float, car: str) -> VehicleState:
-    """Give the centre of gravity of a car in steady motion on a circle about (0, radius)."""
+    """Return the centre of gravity of a car in steady motion on a circle about (0, radius)."""
     m, _, l_f, l_r, _, C_r = astuple(chassis(car))
     slip = l_r / radius - l_f * m * v_x**2 / (2 * C_r * (l_f + l_r) * radius)
     return VehicleState(0, 0.0, 0.0, -slip, v_x, v_x * slip, v_x / radius)

@@ -43,7 +43,7 @@ class Case(NamedTuple):
 
 
 def good(v_x: float = 9.0, **choices: object) -> Case:
-    """Give a supervisor that has steered once, and what it decided."""
+    """Return a supervisor that has steered once, and what it decided."""
     supervisor = Supervisor(made_for(**choices))  # type: ignore[arg-type]
     supervisor.take_path(ROAD, NOW, NOW)
     supervisor.take_state(VehicleState(NOW, 50.0, 0.1, 0.0, v_x, 0.0, 0.0), NOW)
@@ -53,7 +53,7 @@ def good(v_x: float = 9.0, **choices: object) -> Case:
 
 
 def told(decision: TickRecord, **changed: Any) -> TickRecord:
-    """Give a decision about which something else is told."""
+    """Return a decision about which something else is told."""
     return decision._replace(command=decision.command._replace(**changed))
 
 

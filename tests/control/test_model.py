@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.model import DELTA, MIN_SPEED, STATES
+from ampc_ros.mpc.model import DELTA, STATES
 from tests.filled import augment, exponential_integrals, lateral_dynamics, zero_order_hold
 
 PAPER = load(ChassisParameters, find("vehicles", "paper"), "chassis")

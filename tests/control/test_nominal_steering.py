@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import errors
-from ampc_msgs_config.parameters import ControllerSettings
+from ampc_msgs_config.parameters import FRICTION_SHARE, ControllerSettings
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import load_scenario
@@ -26,7 +26,6 @@ from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.preview.model import angle_bound
 from ampc_ros.preview.nominal_steering import (
-    FRICTION_SHARE,
     NOMINAL_SHARE,
     Road,
     limit_rate,

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
+from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters, SteeringParameters
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator, actuator_of
-from ampc_ros.mpc.model import DELTA, MIN_SPEED, STATES, V_Y, YAW_RATE, Vehicle
+from ampc_ros.mpc.model import DELTA, STATES, V_Y, YAW_RATE, Vehicle
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.model import E_PSI, E_Y, angle_bound, side_acceleration, steady_steering
 from tests.filled import lateral_dynamics, sampled_model

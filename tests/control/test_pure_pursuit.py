@@ -23,13 +23,13 @@ both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 
 
 def circle(radius: float, turn: float = 2.0) -> Path:
-    """Give an arc from the origin along x, to the right for a negative radius."""
+    """Return an arc from the origin along x, to the right for a negative radius."""
     a = np.linspace(0.0, turn, 200, dtype=np.float64)
     return make_path(np.column_stack((abs(radius) * np.sin(a), radius * (1 - np.cos(a)))))
 
 
 def rear(x: float, y: float, yaw: float = 0.0, v_x: float = 9.0) -> VehicleState:
-    """Give a state of the rear axle."""
+    """Return a state of the rear axle."""
     return VehicleState(0, x, y, yaw, v_x, 0.0, 0.0)
 
 

@@ -41,17 +41,17 @@ by_stamp_or_arrival = pytest.mark.parametrize("by", ["stamp", "arrival"])
 
 
 def ns(seconds: float) -> int:
-    """Give a time [ns]."""
+    """Return a time [ns]."""
     return round(seconds * NANOSECONDS)
 
 
 def state(t: float, y: float = 0.0, v_x: float = 9.0, yaw: float = 0.0) -> VehicleState:
-    """Give a car that has rolled along ROAD for a time [s]."""
+    """Return a car that has rolled along ROAD for a time [s]."""
     return VehicleState(START + ns(t), 20.0 + v_x * t, y, yaw, v_x, 0.0, 0.0)
 
 
 def standing(config: Configuration | None = None, points: Array = ROAD) -> Supervisor:
-    """Give a supervisor that has a path and no state."""
+    """Return a supervisor that has a path and no state."""
     supervisor = Supervisor(config or made_for())
     supervisor.take_path(points, START, START)
     return supervisor

@@ -17,10 +17,10 @@ from ampc_msgs_config.types import REASONS, RUNGS, VehicleState
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
-from launch_scripts.faults.schedule import load_plan
+from launch_scripts.faults.schedule import load_faults
 from launch_scripts.nodes.injector_node import InjectorNode, pack, unpack
 from launch_scripts.replay import main as replay
-from launch_scripts.start import FAULTY as RENAMED
+from launch_scripts.start import FAULTED as RENAMED
 from launch_scripts.start import main as start
 from sim_vehicle.nodes.simulator_node import SimulatorNode
 from tests.ros_nodes import add, ros_context, spin_to_the_end
@@ -147,7 +147,7 @@ def test_an_unusable_parameter_is_rejected_with_its_name(
 def test_a_clock_jump_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "clock.yaml"
     file.write_text("faults: [{kind: clock_jump, start: 1, duration: 1}]", encoding="utf-8")
-    assert load_plan(str(file)).faults
+    assert load_faults(str(file)).faults
     with ros_context(faults=file), pytest.raises(ValueError, match="clock_jump"):
         InjectorNode()
 

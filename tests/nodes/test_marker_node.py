@@ -18,8 +18,8 @@ from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.marker_node import PERIOD, MarkerNode, main
-from ampc_msgs_config.nodes.scene import MAX_POINTS, VERMILION
+from ampc_msgs_config.nodes.marker_node import PICTURE_PERIOD, MarkerNode, main
+from ampc_msgs_config.nodes.scene import MAX_DRAWN_POINTS, STOP_COLOUR
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from tests.ros_nodes import add, ros_context, spin_until
 
@@ -105,7 +105,7 @@ def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None
     node = drawer(viewer)
     for _ in range(10):
         viewer.drive()
-        viewer.all.spin_once(timeout_sec=PERIOD)
+        viewer.all.spin_once(timeout_sec=PICTURE_PERIOD)
     assert not node.inputs
     viewer.look()
     viewer.picture()
@@ -125,7 +125,7 @@ def test_everything_is_drawn_in_the_map_with_a_lifetime(viewer: Viewer) -> None:
     arrow = viewer.picture_with(ros.WIND, ros.wind_message(0, (0.0, 9.0)), ("wind", 0))
     assert arrow.points[1].y > arrow.points[0].y == 4.0
     picture = viewer.picture()
-    assert len(picture["reference_path", 0].points) == MAX_POINTS
+    assert len(picture["reference_path", 0].points) == MAX_DRAWN_POINTS
     assert picture["reference_path", 0].points[-1].x == LONG[-1, 0]
     for each in picture.values():
         assert each.header.frame_id == ros.MAP
@@ -158,7 +158,7 @@ def test_request_to_stop_turns_the_car_red_also_when_it_came_before(viewer: View
     viewer.look()
     spin_until(viewer.all, lambda: "STOP" in viewer.picture()["text", 0].text)
     colour = viewer.pictures[-1]["car", 0].color
-    assert (colour.r, colour.g, colour.b) == pytest.approx(VERMILION[:3])
+    assert (colour.r, colour.g, colour.b) == pytest.approx(STOP_COLOUR[:3])
 
 
 def rejects_more_than(node: MarkerNode, number: int) -> bool:
@@ -207,7 +207,7 @@ def test_pictures_come_at_most_20_times_a_second(viewer: Viewer) -> None:
     while len(viewer.pictures) < first + 10:
         viewer.drive()
         viewer.all.spin_once(timeout_sec=0.001)
-    assert time.monotonic() - start > 8 * PERIOD
+    assert time.monotonic() - start > 8 * PICTURE_PERIOD
 
 
 def test_a_wrong_vehicle_is_one_line(

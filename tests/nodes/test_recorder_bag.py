@@ -47,11 +47,11 @@ def test_a_latched_message_that_comes_late_has_the_simulated_time_of_its_publish
     )
     for tick in (5, 6, 7):
         data = serialize_message(sample(ros.CLOCK, tick * TICK_NS))
-        arrivals.add(Arrival(10 * tick, 0, "/clock", data))
+        arrivals.waiting.append(Arrival(10 * tick, 0, "/clock", data))
         dated(arrivals)
     for publish_ns, tick in ((1, 5), (50, 5), (69, 6), (70, 7), (1000, 7)):
-        arrivals.add(Arrival(publish_ns, 0, "/path", b""))
-        arrivals.add(Arrival(publish_ns, 0, "/odom", b""))
+        arrivals.waiting.append(Arrival(publish_ns, 0, "/path", b""))
+        arrivals.waiting.append(Arrival(publish_ns, 0, "/odom", b""))
         assert dated(arrivals) == {"/odom": 7 * TICK_NS, "/path": tick * TICK_NS}
 
 
@@ -65,17 +65,17 @@ def test_a_latched_message_precedes_its_first_use_in_real_time() -> None:
         (start_ns + 3, start_ns + 7, start_ns + 3),
         (start_ns + 9, start_ns + 7, start_ns + 7),
     ):
-        arrivals.add(Arrival(publish_ns, receive_ns, "/path", b""))
-        arrivals.add(Arrival(publish_ns, receive_ns, "/odom", b""))
+        arrivals.waiting.append(Arrival(publish_ns, receive_ns, "/path", b""))
+        arrivals.waiting.append(Arrival(publish_ns, receive_ns, "/odom", b""))
         assert dated(arrivals) == {"/path": expected_ns, "/odom": start_ns + 7}
 
 
 def test_messages_that_wait_for_the_clock_are_returned_again_when_it_starts() -> None:
     arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities=())
-    arrivals.add(Arrival(1, 2, "/path", b""))
+    arrivals.waiting.append(Arrival(1, 2, "/path", b""))
     assert [arrival.topic for arrival in arrivals.take_undated()] == ["/path"]
     assert not list(arrivals.take_undated())
-    arrivals.add(Arrival(3, 4, "/clock", serialize_message(sample(ros.CLOCK, TICK_NS))))
+    arrivals.waiting.append(Arrival(3, 4, "/clock", serialize_message(sample(ros.CLOCK, TICK_NS))))
     assert dated(arrivals) == {"/path": TICK_NS, "/clock": TICK_NS}
     assert not list(arrivals.take_undated())
 

@@ -34,7 +34,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.recorder_node import (
     CONTRACT,
     EVERYTHING,
-    LATCHED,
+    LATCHED_TOPICS,
     TRANSFORMS,
     plain_qos,
     take_serialized,
@@ -67,7 +67,7 @@ def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times(
         (6, "/slack", 0),
     ]:
         assert not list(arrivals.take_before(99))
-        arrivals.add(Arrival(publish_ns, 99, topic, data.get(tick, b"")))
+        arrivals.waiting.append(Arrival(publish_ns, 99, topic, data.get(tick, b"")))
     expected = ["/path 7", "/clock 7", "/command 7", "/slack 7", "/clock 8", "/slack 7", "/odom 8"]
     taken = arrivals.take_before(100)
     assert [f"{arrival.topic} {time_ns // TICK_NS}" for arrival, time_ns in taken] == expected
@@ -76,7 +76,7 @@ def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times(
 
 def test_messages_without_a_clock_are_kept_until_the_end() -> None:
     arrivals = Arrivals(simulated=True, clock="/clock", command="/command", quantities=())
-    arrivals.add(Arrival(1, 2, "/path", b""))
+    arrivals.waiting.append(Arrival(1, 2, "/path", b""))
     assert not list(arrivals.take_before(3))
     assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
 
@@ -165,7 +165,7 @@ def advertise(node: Node) -> dict[str, Publisher]:
     """Create a publisher for each topic of the contract."""
     return {
         name: node.create_publisher(
-            message_type, name, ros.LATCHED if name in LATCHED else EVERYTHING
+            message_type, name, ros.LATCHED if name in LATCHED_TOPICS else EVERYTHING
         )
         for name, message_type in CONTRACT.items()
     }
@@ -177,7 +177,7 @@ def publish_fast(publishers: dict[str, Publisher], ticks: int) -> None:
     due = time.monotonic()
     for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS):
         for name, publisher in publishers.items():
-            if name not in LATCHED:
+            if name not in LATCHED_TOPICS:
                 publisher.publish(sample(name, stamp_ns))
         due += 0.002
         time.sleep(max(0.0, due - time.monotonic()))
@@ -189,14 +189,14 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
 ) -> None:
     with talker() as node:
         publishers = advertise(node)
-        for name in LATCHED & publishers.keys():
+        for name in LATCHED_TOPICS & publishers.keys():
             publishers[name].publish(sample(name, TICK_NS))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         publish_fast(publishers, ticks)
         code, said = stop(recorder, number)
     found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in TRANSFORMS]
     assert read_with_rosbags(tmp_path / "bag") == found
-    latched = {full(name): name for name in LATCHED & CONTRACT.keys()}
+    latched = {full(name): name for name in LATCHED_TOPICS & CONTRACT.keys()}
     for topic, name in latched.items():  # when they come, the middleware decides
         expected = [(topic, TICK_NS, sample(name, TICK_NS))]
         assert [entry for entry in found if entry[0] == topic] == expected
@@ -204,7 +204,7 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
         (full(name), stamp_ns, sample(name, stamp_ns))
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS)
         for name in CONTRACT
-        if name not in LATCHED
+        if name not in LATCHED_TOPICS
     ]
     assert code == 0
     assert said.count("recording to") == 1

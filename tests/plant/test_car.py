@@ -11,7 +11,7 @@ import yaml
 from ampc_msgs_config import config
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
-from sim_vehicle.vehicle import V_X, V_Y, YAW_RATE
+from sim_vehicle.vehicle import CAR_V_X, CAR_V_Y, CAR_YAW_RATE
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 STILL = np.zeros((20, 2))
@@ -54,10 +54,10 @@ def test_noise_without_a_generator_and_wind_of_a_wrong_shape_are_refused() -> No
 def test_friction_may_change_on_the_way() -> None:
     car = Car(PAPER, speed=20.0)
     car.advance(0.0, 0.0, STILL)
-    dry = 20.0 - car.state[V_X]
-    car.friction, before = 0.3, car.state[V_X]
+    dry = 20.0 - car.state[CAR_V_X]
+    car.friction, before = 0.3, car.state[CAR_V_X]
     car.advance(0.0, 0.0, STILL)
-    assert before - car.state[V_X] == pytest.approx(dry / 3, rel=0.1)
+    assert before - car.state[CAR_V_X] == pytest.approx(dry / 3, rel=0.1)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
@@ -70,8 +70,8 @@ def test_measurement_is_taken_at_the_centre_of_the_rear_axle(side: float) -> Non
         car.advance(0.1 * side, 8.0, STILL)
     now = car.measure(0)
     assert -math.pi <= now.yaw <= math.pi
-    assert now.yaw_rate == car.state[YAW_RATE]
-    assert now.v_y == pytest.approx(car.state[V_Y] - 1.6 * now.yaw_rate)
+    assert now.yaw_rate == car.state[CAR_YAW_RATE]
+    assert now.v_y == pytest.approx(car.state[CAR_V_Y] - 1.6 * now.yaw_rate)
     assert side * now.v_y < 0.0  # the rear tyres slip to the outside
 
 

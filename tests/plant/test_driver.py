@@ -14,7 +14,7 @@ from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.driver import stands
 from sim_vehicle.parameters import Vehicle, load_vehicle
-from sim_vehicle.vehicle import V_X, V_Y, YAW_RATE, X
+from sim_vehicle.vehicle import CAR_V_X, CAR_V_Y, CAR_X, CAR_YAW_RATE
 
 PAPER = load_vehicle(config.find("vehicles", "paper"))
 ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
@@ -41,8 +41,8 @@ def test_car_coasts_at_constant_speed_where_nothing_resists(vehicle: Vehicle) ->
     neutral = replace(free.powertrain, max_drive_force=0.0, max_brake_force=0.0)
     car = Car(free._replace(powertrain=neutral), speed=20.0)
     car.advance(0.0, 30.0, calm(20.0))
-    assert car.state[V_X] == 20.0
-    assert car.state[X] == pytest.approx(400.0)
+    assert car.state[CAR_V_X] == 20.0
+    assert car.state[CAR_X] == pytest.approx(400.0)
 
 
 @both_cars
@@ -53,17 +53,17 @@ def test_top_speed_is_where_the_power_is_used_up(vehicle: Vehicle) -> None:
     drag = 0.5 * air.air_density * air.drag_area
     rolling = powertrain.rolling_resistance * vehicle.chassis.mass * GRAVITY
     expected = brentq(lambda v: (drag * v**2 + rolling) * v - powertrain.max_power, 10.0, 100.0)
-    assert car.state[V_X] == pytest.approx(expected, rel=1e-3)
+    assert car.state[CAR_V_X] == pytest.approx(expected, rel=1e-3)
 
 
 @both_cars
 @pytest.mark.parametrize("friction", [0.3, 0.9])
 def test_braking_distance_is_that_of_the_friction(vehicle: Vehicle, friction: float) -> None:
     car = Car(without_resistance(vehicle), speed=30.0, friction=friction)
-    while car.state[V_X] > 10.0:
+    while car.state[CAR_V_X] > 10.0:
         car.advance(0.0, 0.0, calm(0.005))
-    shortest = (30.0**2 - car.state[V_X] ** 2) / (2 * friction * GRAVITY)
-    assert 1.0 < car.state[X] / shortest < 1.05
+    shortest = (30.0**2 - car.state[CAR_V_X] ** 2) / (2 * friction * GRAVITY)
+    assert 1.0 < car.state[CAR_X] / shortest < 1.05
 
 
 @both_cars
@@ -74,7 +74,7 @@ def test_driver_follows_a_previewed_ramp_without_lag(vehicle: Vehicle, accelerat
         car.advance(0.0, 18.0 + acceleration * (0.1 * i + SPEED_PREVIEW), calm(0.1))
     half_a_period = 0.05  # a target that is held for 0.1 s is that late on average
     expected = 18.0 + acceleration * (4.0 - half_a_period)
-    assert car.state[V_X] == pytest.approx(expected, abs=0.01)
+    assert car.state[CAR_V_X] == pytest.approx(expected, abs=0.01)
 
 
 @both_cars
@@ -82,8 +82,8 @@ def test_driver_follows_a_previewed_ramp_without_lag(vehicle: Vehicle, accelerat
 def test_driver_keeps_the_speed_in_a_tight_curve(vehicle: Vehicle, side: float) -> None:
     car = Car(vehicle, speed=10.0)
     car.advance(0.2 * side, 10.0, calm(10.0))
-    assert abs(car.state[YAW_RATE]) > 0.4
-    assert car.state[V_X] == pytest.approx(10.0, abs=0.01)
+    assert abs(car.state[CAR_YAW_RATE]) > 0.4
+    assert car.state[CAR_V_X] == pytest.approx(10.0, abs=0.01)
 
 
 @both_cars
@@ -92,11 +92,11 @@ def test_car_stops_cleanly_and_never_drives_backwards(vehicle: Vehicle, wind: fl
     car, slowest = Car(vehicle, speed=12.0), 12.0
     for _ in range(1000):
         car.advance(0.0, 0.0, np.array([[wind, 0.0]]))
-        slowest = min(slowest, car.state[V_X])
-    assert slowest == car.state[V_X] == 0.0
-    place = car.state[X]
+        slowest = min(slowest, car.state[CAR_V_X])
+    assert slowest == car.state[CAR_V_X] == 0.0
+    place = car.state[CAR_X]
     car.advance(0.0, 0.0, np.tile([wind, 0.0], (2000, 1)))
-    assert car.state[X] == place
+    assert car.state[CAR_X] == place
 
 
 @both_cars
@@ -130,11 +130,11 @@ def test_car_starts_with_its_wheels_turned(vehicle: Vehicle, side: float) -> Non
     for _ in range(100):
         car.advance(0.4 * side, 5.0, calm(0.1))
         assert np.isfinite(car.state).all()
-        assert car.state[V_X] >= 0.0
+        assert car.state[CAR_V_X] >= 0.0
     chassis = vehicle.chassis
     radius = chassis.wheelbase / math.tan(0.4) + 25.0 * chassis.understeer_gradient / 0.4
-    assert car.state[V_X] == pytest.approx(5.0, abs=0.01)
-    assert side * car.state[YAW_RATE] == pytest.approx(5.0 / radius, rel=0.1)
+    assert car.state[CAR_V_X] == pytest.approx(5.0, abs=0.01)
+    assert side * car.state[CAR_YAW_RATE] == pytest.approx(5.0 / radius, rel=0.1)
 
 
 @both_cars
@@ -142,8 +142,8 @@ def test_driver_compensates_head_and_tail_wind(vehicle: Vehicle) -> None:
     for wind in (-15.0, 15.0):
         car = Car(vehicle, speed=20.0)
         car.advance(0.0, 20.0, np.tile([wind, 0.0], (2000, 1)))
-        assert car.state[V_X] == pytest.approx(20.0, abs=1e-6)
-        assert car.state[V_Y] == 0.0
+        assert car.state[CAR_V_X] == pytest.approx(20.0, abs=1e-6)
+        assert car.state[CAR_V_Y] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from ampc_msgs_config import config
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, load_vehicle
-from sim_vehicle.vehicle import A_X, CORNERING, SIZE, V_X, V_Y, YAW_RATE
+from sim_vehicle.vehicle import A_X, CAR_V_X, CAR_V_Y, CAR_YAW_RATE, CORNERING, SIZE
 from tests.plant.independent_model import rates, simulate
 
 CARS = {name: load_vehicle(config.find("vehicles", name)) for name in ("paper", "ordinary")}
@@ -117,7 +117,7 @@ def test_manoeuvres_reach_what_they_are_made_for(name: str) -> None:
             rows.append(car.state)
         reached[title] = np.abs(rows).max(axis=0), car.state
     assert reached["full braking in a bend"][0][A_X] > 4.0
-    assert reached["spin on a wet road"][0][V_Y] > 4.0
-    assert reached["slalom in gusts"][0][YAW_RATE] > 0.1
+    assert reached["spin on a wet road"][0][CAR_V_Y] > 4.0
+    assert reached["slalom in gusts"][0][CAR_YAW_RATE] > 0.1
     assert reached["linear tyre at its limit"][0][CORNERING] > 500.0
-    assert reached["stop and park in wind"][1][V_X] == 0.0
+    assert reached["stop and park in wind"][1][CAR_V_X] == 0.0

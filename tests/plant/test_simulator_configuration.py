@@ -14,17 +14,22 @@ from ampc_msgs_config.scenarios.scenario_yaml import document, read_scenario, sc
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.configuration import Configuration, from_yaml, simulation_of, to_yaml
+from sim_vehicle.configuration import (
+    SimulatorConfiguration,
+    read_simulator,
+    simulation_of,
+    simulator_text,
+)
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 NOISE = load(MeasurementNoise, find("noise", "x1"))
 WHERE = "run/bag: simulator/configuration"
 
 
-def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> Configuration:
+def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> SimulatorConfiguration:
     """Return the configuration of a shipped scenario and car."""
     car = load_vehicle(find("vehicles", vehicle))
-    return Configuration(car, load_scenario(scenario, car.size), **options)
+    return SimulatorConfiguration(car, load_scenario(scenario, car.size), **options)
 
 
 def same_bits(a: Scenario, b: Scenario) -> bool:
@@ -42,10 +47,10 @@ def test_every_shipped_drive_comes_back_from_its_text_bit_for_bit(
     scenario: str, vehicle: str
 ) -> None:
     config = made_of(scenario, vehicle, friction=0.7, noise=NOISE, seed=7, lock_step=False)
-    again = from_yaml(to_yaml(config), WHERE)
+    again = read_simulator(simulator_text(config), WHERE)
     assert same_bits(again.scenario, config.scenario)
     assert again._replace(scenario=config.scenario) == config
-    assert to_yaml(again) == to_yaml(config)
+    assert simulator_text(again) == simulator_text(config)
 
 
 def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> None:
@@ -55,10 +60,10 @@ def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> No
     file.write_text("x_m,y_m\n" + rows, encoding="utf-8")
     car = load_vehicle(find("vehicles", "paper"))
     route = Route(path=str(file), lateral_acceleration=3.0, laps=2)
-    config = Configuration(car, choose_scenario(route, car.size))
-    text = to_yaml(config)
+    config = SimulatorConfiguration(car, choose_scenario(route, car.size))
+    text = simulator_text(config)
     file.unlink()
-    again = from_yaml(text, WHERE)
+    again = read_simulator(text, WHERE)
     assert again.scenario.speed.period < np.inf
     assert same_bits(again.scenario, config.scenario)
 
@@ -71,7 +76,7 @@ def test_a_drive_with_the_car_read_back_gives_the_same_bits(
     given = config.vehicle, config.scenario
     rng = np.random.default_rng(3)
     before = Simulation(*given, friction=0.6, noise=noise, rng=rng)
-    after = simulation_of(to_yaml(config), WHERE)
+    after = simulation_of(simulator_text(config), WHERE)
     drives = [drive(car, make_controller(Choices())) for car in (before, after)]
     assert drives[0].states == drives[1].states
     assert drives[0].steering.tolist() == drives[1].steering.tolist()
@@ -103,11 +108,11 @@ WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
         "scenario.points.x: could not convert string",
     ),
     "list": (("scenario", "points", "x"), [0], "scenario.points.x = [0] must be text"),
-    "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 1 to 1000000"),
+    "empty": (("scenario", "points", "x"), "", "x has 0 numbers, must have 2 to 1000000"),
     "shorter": (
         ("scenario", "points", "x"),
         "0 1",
-        "points.x has 2 numbers, its other row ",
+        "numbers, the row before it 2",
     ),
     "point": (("scenario", "points"), {"x": "1 1", "y": "0 0"}, "at least 2 are needed"),
     "no points": (
@@ -124,7 +129,7 @@ WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
     "times": (
         ("scenario", "speed", "at"),
         "0 1",
-        "speed.at has 2 numbers, its other row 1",
+        "speed.speed has 1 numbers, the row before it 2",
     ),
     "kind": (("scenario", "speed", "over_distance"), 1, "over_distance = 1 must be true or false"),
     "period": (
@@ -147,7 +152,7 @@ WRONG: dict[str, tuple[tuple[str, ...], Any, str]] = {
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_wrong_in_a_configuration_is_named_with_place_key_and_value(case: str) -> None:
     keys, value, sentence = WRONG[case]
-    content = yaml.safe_load(to_yaml(made_of("sc1")))
+    content = yaml.safe_load(simulator_text(made_of("sc1")))
     section = content
     for key in keys[:-1]:
         section = section[key]

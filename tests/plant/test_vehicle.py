@@ -16,7 +16,17 @@ from ampc_msgs_config.types import Array
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, load_vehicle
-from sim_vehicle.vehicle import A_Y, SLIP, STEERING, V_X, V_Y, YAW, YAW_RATE, X, Y
+from sim_vehicle.vehicle import (
+    A_Y,
+    CAR_STEERING,
+    CAR_V_X,
+    CAR_V_Y,
+    CAR_X,
+    CAR_Y,
+    CAR_YAW,
+    CAR_YAW_RATE,
+    SLIP,
+)
 from sim_vehicle.vehicle_row import vehicle_numbers
 from sim_vehicle.wheels import wheel_loads
 
@@ -58,9 +68,9 @@ def test_steady_yaw_rate_is_that_of_the_understeer_gradient_within_one_percent(
     L, K_us = vehicle.chassis.wheelbase, vehicle.chassis.understeer_gradient
     delta = 0.3 * (L / speed**2 + K_us)  # for 0.3 m/s^2
     car = Car(with_tyre(vehicle, model), speed=speed)
-    v = driven(car, np.full(150, delta), speed=speed)[-1, V_X]
+    v = driven(car, np.full(150, delta), speed=speed)[-1, CAR_V_X]
     expected = v * delta / (L + K_us * v**2)
-    assert car.state[YAW_RATE] == pytest.approx(expected, rel=0.01)
+    assert car.state[CAR_YAW_RATE] == pytest.approx(expected, rel=0.01)
 
 
 def bicycle(chassis: ChassisParameters, v: float, sigma: float) -> tuple[Array, Array]:
@@ -94,7 +104,7 @@ def test_small_step_response_is_that_of_the_linear_model(vehicle: Vehicle, speed
     system = (A, B, np.eye(4), np.zeros((4, 1)))
     held: Any = np.full(len(time), delta)
     _, linear, _ = lsim(system, held, time)
-    for column, expected in ((V_Y, linear[20::20, 0]), (YAW_RATE, linear[20::20, 1])):
+    for column, expected in ((CAR_V_Y, linear[20::20, 0]), (CAR_YAW_RATE, linear[20::20, 1])):
         assert np.abs(states[:, column] - expected).max() < 0.01 * np.abs(expected).max()
 
 
@@ -105,11 +115,11 @@ def test_driving_to_the_right_mirrors_driving_to_the_left(vehicle: Vehicle) -> N
     left = driven(Car(vehicle, (1.0, 2.0, 0.3), 14.0), steering, speed=17.0, wind=wind)
     mirror = np.array([1.0, -1.0])
     right = driven(Car(vehicle, (1.0, -2.0, -0.3), 14.0), -steering, speed=17.0, wind=mirror * wind)
-    for column in (Y, YAW, V_Y, YAW_RATE, A_Y):
+    for column in (CAR_Y, CAR_YAW, CAR_V_Y, CAR_YAW_RATE, A_Y):
         right[:, column] *= -1
     right[:, SLIP : SLIP + 4] *= -1
     right[:, SLIP : SLIP + 4] = right[:, [SLIP + 1, SLIP, SLIP + 3, SLIP + 2]]
-    right[:, STEERING] *= -1
+    right[:, CAR_STEERING] *= -1
     assert np.array_equal(left, right)
 
 
@@ -121,8 +131,8 @@ def test_motion_does_not_depend_on_the_compass() -> None:
     turned = driven(
         Car(PAPER, (0.0, 0.0, turn), 14.0), steering, speed=14.0, wind=wind @ rotation.T
     )
-    assert np.allclose(turned[:, [X, Y]], states[:, [X, Y]] @ rotation.T, atol=1e-9)
-    assert np.allclose(turned[:, V_X:], states[:, V_X:], atol=1e-6)
+    assert np.allclose(turned[:, [CAR_X, CAR_Y]], states[:, [CAR_X, CAR_Y]] @ rotation.T, atol=1e-9)
+    assert np.allclose(turned[:, CAR_V_X:], states[:, CAR_V_X:], atol=1e-6)
 
 
 @settings(max_examples=300, deadline=None)
@@ -197,9 +207,9 @@ def test_halving_the_step_does_not_change_a_lane_change(
         driven(Car(vehicle, speed=15.0, step=h), lane_change(amplitude), speed=15.0, step=h)
         for h in (0.005, 0.0025)
     )
-    moved = np.abs(normal[:, Y]).max()
+    moved = np.abs(normal[:, CAR_Y]).max()
     assert moved > 2.0
-    assert np.abs(normal - fine)[:, [X, Y]].max() < share * moved
+    assert np.abs(normal - fine)[:, [CAR_X, CAR_Y]].max() < share * moved
 
 
 def test_integration_is_of_fourth_order() -> None:
@@ -222,10 +232,10 @@ def test_sliding_car_gains_no_energy_but_what_its_tyres_have_stored(
     vehicle = with_tyre(vehicle, model)._replace(powertrain=no_engine, aerodynamics=still_air)
     rng, m, I_z = np.random.default_rng(seed), vehicle.chassis.mass, vehicle.chassis.yaw_inertia
     car, energy = Car(vehicle), []
-    car.state[[V_X, V_Y, YAW_RATE]] = rng.uniform(-1, 1, 3) * [25.0, 15.0, 5.0]
+    car.state[[CAR_V_X, CAR_V_Y, CAR_YAW_RATE]] = rng.uniform(-1, 1, 3) * [25.0, 15.0, 5.0]
     for _ in range(2000):
         car.advance(rng.uniform(-0.5, 0.5), 0.0, np.zeros((1, 2)))
-        v_x, v_y, r = car.state[[V_X, V_Y, YAW_RATE]]
+        v_x, v_y, r = car.state[[CAR_V_X, CAR_V_Y, CAR_YAW_RATE]]
         energy.append(m * (v_x**2 + v_y**2) / 2 + I_z * r**2 / 2)
     stored = vehicle.tyre.friction * m * GRAVITY * vehicle.tyre.relaxation_length
     assert (energy - np.minimum.accumulate(energy)).max() < stored
@@ -247,4 +257,4 @@ def test_wild_steering_never_breaks_the_simulation(
     )
     assert np.isfinite(states).all()
     assert np.abs(states[:, SLIP : SLIP + 4]).max() <= 1.0
-    assert np.hypot(states[:, V_X], states[:, V_Y]).max() < max(speed, 1.0) + 10.0
+    assert np.hypot(states[:, CAR_V_X], states[:, CAR_V_Y]).max() < max(speed, 1.0) + 10.0

@@ -10,6 +10,7 @@ import pytest
 import zstandard
 from mcap.writer import CompressionType, IndexType
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from ampc_msgs_config.recording.bag_writer import Recording
@@ -116,6 +117,20 @@ def test_a_contract_topic_of_another_type_is_refused_in_one_line(tmp_path: Path)
         list(read(tmp_path / "bag", ["/car/odom"]))
     with pytest.raises(ValueError, match=rf"^\S*{fault}"):
         read_columns(tmp_path / "bag", "/car")
+
+
+def test_debug_topics_are_not_read_where_the_bag_has_ticks(tmp_path: Path) -> None:
+    write_file(tmp_path / "odom_0.mcap", DRIVE)
+    with Recording(tmp_path / "bag") as recording:
+        recording.add_topic("/controller/debug/solve_time", "std_msgs/msg/Float64")
+        recording.write("/controller/debug/solve_time", serialize_message(Float64(data=2.0)), 1, 1)
+        recording.add_topic("/controller/tick", "sensor_msgs/msg/JointState")
+        tick = JointState(name=["solve_time"], position=[3.0])
+        recording.write("/controller/tick", serialize_message(tick), 1, 1)
+    (tmp_path / "bag" / "bag_0.mcap").rename(tmp_path / "odom_1.mcap")
+    columns = read_columns(tmp_path)
+    assert "controller/debug/solve_time" not in columns.values
+    assert columns.tick["solve_time"][:, 1].tolist() == [3.0]
 
 
 def test_bags_in_sqlite_are_refused_with_the_way_out(tmp_path: Path) -> None:

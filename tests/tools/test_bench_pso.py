@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,8 @@ from ampc_ros.pso.swarm import Dimension
 from launch_scripts.reporting.style import spread
 from launch_scripts.study.bench_pso import (
     Runs,
-    bench_markdown,
     bench_results,
-    better_methods,
+    bench_tables,
     draw_methods,
     main,
 )
@@ -28,11 +28,11 @@ from launch_scripts.study.pso_methods import (
     PARTICLES,
     PROBLEMS,
     READING_VARIANTS,
+    READINGS,
     BenchmarkProblem,
     Cost,
-    all_bars_hold,
     comparison_settings,
-    readings,
+    ordering_bars,
     rosenbrock,
     search_curve,
     shifted_sphere,
@@ -92,8 +92,8 @@ def test_the_curve_of_a_swarm_is_its_history() -> None:
     [("proposed", 0.2), ("linear", 0.4), ("linear", 6.0), ("damped", 0.4), ("classic", 1.45)],
 )
 def test_a_missed_bar_is_detected(name: str, value: float) -> None:
-    assert all_bars_hold(GOOD)
-    assert not all_bars_hold({**GOOD, name: value})
+    assert all(ordering_bars(GOOD).values())
+    assert not all(ordering_bars({**GOOD, name: value}).values())
 
 
 def example_runs() -> Runs:
@@ -111,24 +111,34 @@ def example_runs() -> Runs:
     }
 
 
-def test_the_tables_list_the_methods_that_beat_the_proposed_variant() -> None:
-    assert better_methods(example_runs()) == [f"{problem.name}: random" for problem in PROBLEMS]
-    assert "* sphere, n = 30: random\n" in bench_markdown(
-        example_runs(), {"one": np.ones(len(READING_VARIANTS))}
+def example_results() -> dict[str, Any]:
+    """Return the results of the example runs; every reading has the same medians."""
+    return bench_results(
+        example_runs(), {name: dict.fromkeys(READING_VARIANTS, 1.0) for name in READINGS}
     )
 
 
+def test_the_tables_list_the_methods_that_beat_the_proposed_variant() -> None:
+    lines = bench_tables(example_results()).splitlines()
+    assert [line for line in lines if line.startswith("* ")] == [
+        f"* {problem.name}: random" for problem in PROBLEMS
+    ]
+
+
 def test_the_best_of_a_column_is_bold() -> None:
-    lines = bench_markdown(example_runs(), {"one": np.ones(len(READING_VARIANTS))}).splitlines()
-    bold = [line for line in lines if "**" in line]
+    bold = [line for line in bench_tables(example_results()).splitlines() if "**" in line]
     assert [line.split(" | ")[0] for line in bold] == ["| random"]
     assert bold[0].count("**0.2 (0.15-0.3)**") == len(PROBLEMS)
 
 
+def test_every_reading_has_a_row_with_its_verdict() -> None:
+    lines = bench_tables(example_results()).splitlines()
+    for name in READINGS:
+        assert f"| {name} | 1 | 1 | 1 | 1 | 1 | no |" in lines
+
+
 def test_json_contains_every_run() -> None:
-    medians = {name: np.ones(len(READING_VARIANTS)) for name in readings()}
-    text = json.dumps(bench_results(example_runs(), medians), allow_nan=False)
-    content = json.loads(text)
+    content = json.loads(json.dumps(example_results(), allow_nan=False))
     one = content["problems"]["ackley, n = 5"]["random"]
     assert one["final"] == pytest.approx([0.1, 0.2, 0.4])
     assert one["quartiles"] == pytest.approx([0.15, 0.2, 0.3])
@@ -146,7 +156,7 @@ def test_labels_keep_their_order_and_a_gap(places: list[float]) -> None:
 
 
 def test_the_picture_shows_every_problem(tmp_path: Path) -> None:
-    draw_methods(example_runs(), tmp_path / "curves.png")
+    draw_methods(example_results(), tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 

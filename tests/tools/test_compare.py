@@ -15,7 +15,7 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller
-from launch_scripts.compare import main, read_contender
+from launch_scripts.compare import main
 from launch_scripts.comparing.cells import (
     QUANTITIES,
     Cell,
@@ -28,6 +28,7 @@ from launch_scripts.comparing.results import three_digits
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 from tests.html_pages import Elements, check_that_no_request_leaves
+from tests.tools.test_python_api import blocks
 
 REPEATED = [key for name, key in QUANTITIES.items() if name != "solve_time"]
 """Metrics that every run reproduces."""
@@ -230,18 +231,19 @@ def test_further_formats_hold_the_same_numbers(tmp_path: Path) -> None:
     assert (tmp_path / "compare.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_a_controller_of_a_user_is_named_by_its_class_and_found_by_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_controller_of_a_user_is_compared_and_named_by_its_class(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    checked: list[str] = []
-    monkeypatch.setattr("launch_scripts.run.options.check_controller", checked.append)
-    monkeypatch.chdir(tmp_path)
-    contender = read_contender("my/file.py:Stanley", "paper")
-    name = f"{tmp_path}/my/file.py:Stanley"
-    assert contender == Contender("Stanley", name, "")
-    assert checked == [name]
-    with pytest.raises(ValueError, match="Stanley has no gains"):
-        read_contender("file.py:Stanley=preview", "paper")
+    file = tmp_path / "my_file.py"
+    file.write_text(blocks("my_controller.md")[0], encoding="utf-8")
+    arguments = ("--controllers", "preview", f"{file}:Stanley", "--scenarios", "sc1")
+    content = compare(tmp_path / "out", *arguments)
+    cells = {cell["controller"]: cell for cell in content["cells"]}
+    assert [cell["fate"] for cell in cells.values()] == ["driven", "driven"]
+    assert 0.01 < cells["Stanley"]["rms_error_m"] < 0.5
+    assert content["controllers"][1]["controller"] == f"{file}:Stanley"
+    assert "Stanley" in capsys.readouterr().out
+    assert "Stanley" in (tmp_path / "out" / "page.html").read_text(encoding="utf-8")
 
 
 def test_roads_on_which_nobody_drives_are_drawn_as_such(tmp_path: Path) -> None:
@@ -261,6 +263,9 @@ def test_roads_on_which_nobody_drives_are_drawn_as_such(tmp_path: Path) -> None:
         (["--controllers", "preview="], "--controllers preview=: '' is neither a file nor one of"),
         (["--controllers", "pure_pursuit=preview"], "pure_pursuit has no gains"),
         (["--controllers", "paper", "paper"], "--controllers: 'paper' occurs twice"),
+        (["--controllers", "absent.py:Stanley"], "--controllers absent.py:Stanley: "),
+        (["--controllers", f"{__file__}:Absent"], "test_compare.py:Absent: "),
+        (["--controllers", f"{__file__}:Contender=preview"], "Contender has no gains"),
         (["--controllers", f"paper={__file__}"], "test_compare.py: not YAML"),
         (["--scenarios", "sc9"], "--scenarios sc9: 'sc9' is neither a file nor one of the shipped"),
         (["--scenarios", "no.csv"], "--scenarios no.csv: no.csv: cannot be read"),

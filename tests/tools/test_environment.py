@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from launch_scripts.run.environment import ros_environment
+from launch_scripts.run.processes import ros_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

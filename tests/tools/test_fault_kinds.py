@@ -8,9 +8,9 @@ import pytest
 
 from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from launch_scripts.faults.kinds import KINDS
+from launch_scripts.faults.kinds import FAULT_KINDS
 from launch_scripts.faults.messages import NODE, ODOM, PATH, STEERING, Message
-from launch_scripts.faults.schedule import Fault, Injector, Plan
+from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 
 MS = 1_000_000
 PERIOD_NS = 20 * MS
@@ -35,7 +35,7 @@ def sent(topic: str, i: int) -> Message:
 def arrived(kind: str, topic: str = ODOM, seed: int = 3, **options: Any) -> list[Message]:
     """Send 100 messages in 2 s, with a fault from 1 s to 1.5 s; return the arrivals until 10 s."""
     fault = Fault(kind=kind, start=START, **({"duration": DURATION} | options))
-    line = Injector(Plan((fault,), seed))
+    line = Injector(FaultSchedule((fault,), seed))
     for i in range(100):
         line.put(sent(topic, i))
     return line.due(10 * NANOSECONDS)
@@ -67,7 +67,7 @@ def test_a_fault_changes_numbers_only_during_its_interval(kind: str) -> None:
 
 
 def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
-    for name, kind in KINDS.items():
+    for name, kind in FAULT_KINDS.items():
         assert set(kind.topics) <= {ODOM, STEERING, PATH, NODE}, name
         assert (kind.change is None) == (kind.topics == (NODE,)), name
         if kind.amount:
@@ -77,7 +77,7 @@ def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
 
 @pytest.mark.parametrize("topic", [ODOM, STEERING, PATH])
 def test_a_seed_reproduces_the_messages_and_other_topics_are_unchanged(topic: str) -> None:
-    for name, kind in KINDS.items():
+    for name, kind in FAULT_KINDS.items():
         once, again = arrived(name, topic), arrived(name, topic)
         assert repr(once) == repr(again), name
         if topic not in kind.topics:
@@ -201,7 +201,7 @@ def test_stamps_jump_and_the_controllers_clock_only_where_all_clocks_do(amount: 
         for message in of_window(arrived(kind, amount=amount)):
             off = message.stamp_ns - message.arrival_ns - CLOCK_NS
             assert off == amount * NANOSECONDS
-        line = Injector(Plan((Fault(kind=kind, start=1.0, duration=0.5, amount=amount),)))
+        line = Injector(FaultSchedule((Fault(kind=kind, start=1.0, duration=0.5, amount=amount),)))
         shown = [line.clock_ns(now_ns) - now_ns for now_ns in (0, 1000 * MS, 1499 * MS, 1500 * MS)]
         assert shown == [0, *([round(amount * NANOSECONDS) if moves else 0] * 2), 0]
 
@@ -213,7 +213,7 @@ def test_the_steering_sensor_can_have_a_bias_or_freeze() -> None:
 
 
 def test_a_qp_fault_is_active_in_its_interval_without_any_message() -> None:
-    line = Injector(Plan((Fault(kind="qp_fault", start=1.0, duration=0.5),)))
+    line = Injector(FaultSchedule((Fault(kind="qp_fault", start=1.0, duration=0.5),)))
     there = [line.is_on("qp_fault", ms * MS) for ms in (999, 1000, 1499, 1500)]
     assert there == [False, True, True, False]
 
@@ -238,7 +238,7 @@ def test_paths_can_be_moved_or_invalid() -> None:
 def test_another_fault_does_not_change_the_random_numbers_of_the_first() -> None:
     one = Fault(kind="noise", start=1.0, duration=0.5)
     other = Fault(kind="noise", start=1.6, duration=0.2)
-    alone, both = Injector(Plan((one,), 3)), Injector(Plan((one, other), 3))
+    alone, both = Injector(FaultSchedule((one,), 3)), Injector(FaultSchedule((one, other), 3))
     for i in range(100):
         alone.put(sent(ODOM, i))
         both.put(sent(ODOM, i))
@@ -249,7 +249,7 @@ def test_faults_at_the_same_time_act_one_after_the_other() -> None:
     faults = tuple(
         Fault(kind=kind, start=1.0, duration=0.5) for kind in ("bias_speed", "duplicate")
     )
-    line = Injector(Plan(faults))
+    line = Injector(FaultSchedule(faults))
     for i in range(100):
         line.put(sent(ODOM, i))
     messages = [each for each in line.due(10**12) if each.value.v_x == 11.0]
@@ -257,7 +257,7 @@ def test_faults_at_the_same_time_act_one_after_the_other() -> None:
 
 
 def test_no_message_arrives_before_its_time() -> None:
-    line = Injector(Plan((Fault(kind="delay", start=0.0, duration=5.0, amount=0.1),)))
+    line = Injector(FaultSchedule((Fault(kind="delay", start=0.0, duration=5.0, amount=0.1),)))
     line.put(sent(ODOM, 1))
     assert line.due(120 * MS - 1) == []
     assert line.next_ns == 120 * MS

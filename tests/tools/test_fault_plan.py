@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from ampc_msgs_config.config import shipped
-from launch_scripts.faults.kinds import KINDS
-from launch_scripts.faults.schedule import Fault, load_plan
+from launch_scripts.faults.kinds import FAULT_KINDS
+from launch_scripts.faults.schedule import Fault, load_faults
 
 
 def write(folder: Path, text: str) -> str:
@@ -20,12 +20,12 @@ def write(folder: Path, text: str) -> str:
 
 @pytest.mark.parametrize("name", shipped("faults"))
 def test_shipped_files_are_valid(name: str) -> None:
-    assert load_plan(name).faults
+    assert load_faults(name).faults
 
 
 def test_a_file_gives_its_faults_and_seed(tmp_path: Path) -> None:
     file = write(tmp_path, "seed: 7\nfaults:\n  - {kind: noise, start: 3, duration: 1}\n")
-    plan = load_plan(file)
+    plan = load_faults(file)
     assert plan.seed == 7
     assert plan.faults == (Fault(kind="noise", start=3.0, duration=1.0, amount=0.1),)
 
@@ -55,18 +55,18 @@ WRONG = {
 def test_what_is_wrong_is_named_with_its_file(text: str, tmp_path: Path) -> None:
     file = write(tmp_path, text)
     with pytest.raises(ValueError, match=re.escape(WRONG[text])) as error:
-        load_plan(file)
+        load_faults(file)
     assert str(error.value).startswith(file)
 
 
 def test_an_unknown_name_lists_the_shipped_ones() -> None:
     with pytest.raises(ValueError, match="neither a file nor one of the shipped faults: example"):
-        load_plan("nothing")
+        load_faults("nothing")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FAULT_KINDS)
 def test_a_mirrored_fault_mirrored_again_is_the_same(kind: str) -> None:
     given: dict[str, Any] = {"kind": kind, "start": 1.0, "duration": 1.0}
     fault = Fault(**given)
     assert fault.mirrored.mirrored == fault
-    assert (fault.mirrored == fault) != KINDS[kind].sided
+    assert (fault.mirrored == fault) != FAULT_KINDS[kind].sided

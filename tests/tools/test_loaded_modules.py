@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.tools.test_result import CIRCLE, drive_messages, write_bag
+from tests.workshop.bench.bench_report_page import make_bag
 
 LIST = """
 import json, sys
@@ -37,12 +37,12 @@ assert start.finish(run, start.RunEnded("completed", 0), Console()) == 0
 
 
 @pytest.mark.parametrize(
-    ("code", "scripts", "modules"), [(REPORT, 25, 45), (START, 30, 60)], ids=["report", "start"]
+    ("code", "scripts", "modules"), [(REPORT, 10, 25), (START, 30, 60)], ids=["report", "start"]
 )
 def test_a_command_loads_few_modules_of_the_project(
     code: str, scripts: int, modules: int, tmp_path: Path
 ) -> None:
-    bag = write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)})
+    bag = make_bag(tmp_path / "bag", minutes=0.1)
     end = "\nprint(json.dumps([before, loaded(PROJECT), loaded(('matplotlib', 'none'))]))"
     command = [sys.executable, "-c", LIST + code + end, str(bag), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -139,7 +139,8 @@ def test_the_result_is_a_complete_file_for_any_damage(tmp_path: Path) -> None:
         found = salvage(io.BytesIO(content), target)
         target.seek(0)
         messages = list(make_reader(target, validate_crcs=True).iter_messages())
-        assert len(messages) == found.extent.count
+        assert found.index.statistics is not None
+        assert len(messages) == found.index.statistics.message_count
 
 
 def test_a_cut_chunk_is_not_counted_as_damage(tmp_path: Path) -> None:
@@ -157,10 +158,12 @@ def test_a_cut_chunk_is_not_counted_as_damage(tmp_path: Path) -> None:
 def test_a_damaged_attachment_is_left_out(tmp_path: Path) -> None:
     write_file(tmp_path / "bag.mcap", DRIVE[:5], enable_crcs=True)
     whole = (tmp_path / "bag.mcap").read_bytes()
-    assert salvage(io.BytesIO(whole), io.BytesIO()).attachments == 1
+    assert len(salvage(io.BytesIO(whole), io.BytesIO()).index.attachment_indexes) == 1
     damaged = whole.replace(b"mass: 1500.0", b"mass: 1600.0", 1)
     result = salvage(io.BytesIO(damaged), io.BytesIO())
-    assert (result.attachments, result.damaged, result.extent.count) == (0, 1, 5)
+    assert (len(result.index.attachment_indexes), result.damaged) == (0, 1)
+    assert result.index.statistics is not None
+    assert result.index.statistics.message_count == 5
 
 
 def test_messages_that_are_compressed_one_by_one_are_recovered_decompressed(tmp_path: Path) -> None:

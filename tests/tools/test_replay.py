@@ -28,8 +28,7 @@ from launch_scripts.replaying.repetition import (
     with_value,
 )
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.configuration import Configuration as SimulatedCar
-from sim_vehicle.configuration import to_yaml
+from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
 from sim_vehicle.parameters import load_vehicle
 from tests.recorded_drives import Bag
 
@@ -44,7 +43,7 @@ Disturb = Callable[[Supervisor, int], None]
 
 
 def scenario_of(name: str, duration: float = 6.0) -> Scenario:
-    """Give the beginning of a scenario."""
+    """Return the beginning of a scenario."""
     return load_scenario(name, VEHICLE.size)._replace(duration=duration)
 
 
@@ -103,12 +102,12 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[in
 
 def drive_with_a_simulator(folder: Path, *, faulty: bool) -> None:
     """Record a drive whose car is in the bag, and whose state may be wrong where it is heard."""
-    car = SimulatedCar(VEHICLE, scenario_of("sc1"))
+    car = SimulatorConfiguration(VEHICLE, scenario_of("sc1"))
     supervisor = Supervisor(configuration(Choices(static_path=True)))
     simulation, planner = car.simulation(), SpeedPlanner(car.scenario)
     with Bag(folder) as bag:
         bag.configuration(supervisor)
-        bag.add(f"/simulator/{ros.CONFIGURATION}", String(data=to_yaml(car)))
+        bag.add(f"/simulator/{ros.CONFIGURATION}", String(data=simulator_text(car)))
         bag.path(car.scenario.points, NANOSECONDS)
         supervisor.take_path(car.scenario.points, NANOSECONDS, NANOSECONDS)
         for tick in range(1, 61):

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,16 @@ from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
-from ampc_msgs_config.parameters import GuardLimits
+from ampc_msgs_config.parameters import FRICTION_SHARE, GuardLimits
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan
+from ampc_ros.mpc.internal_model import limits_of
+from ampc_ros.preview.model import angle_bound
 from launch_scripts.report import main, names_of, page_file
 from launch_scripts.reporting import export, page
+from launch_scripts.reporting.charts import draw_panel, thinned
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
-from launch_scripts.reporting.lines import Series, thinned
 from launch_scripts.reporting.page import MAX_BYTES
-from launch_scripts.reporting.panels import PANELS, Axis, Panel, draw_panel
+from launch_scripts.reporting.panels import PANELS, Axis, Panel, Series
 from sim_vehicle.parameters import load_vehicle
 from tests.report_bags import (
     TICK_NS,
@@ -222,11 +225,18 @@ def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> Non
     assert np.ptp(outline[:, 1]) == pytest.approx(vehicle.size.width)
 
 
-def test_the_bound_of_the_angle_is_the_narrower_of_settings_and_tyre(whole: Path) -> None:
-    bound = judged(whole).context.angle_bound(np.array([0.5, 30.0]))
+def test_the_bound_of_the_angle_is_that_of_the_controller(whole: Path) -> None:
+    context, speeds = judged(whole).context, [0.0, 0.5, 5.0, 10.0, 30.0]
+    assert context.settings is not None
+    assert context.chassis is not None
+    bound = context.angle_bound(np.array(speeds))
     assert bound is not None
     assert bound[0] == pytest.approx(math.pi / 6)
-    assert bound[1] < 0.1
+    assert bound[-1] < 0.1
+    limits = limits_of(context.settings, context.steering)
+    most = FRICTION_SHARE * limits.mu_g
+    row = astuple(context.chassis)
+    assert bound.tolist() == [angle_bound(row, v, limits.u_max, most) for v in speeds]
 
 
 def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whole: Path) -> None:
@@ -253,7 +263,7 @@ def thresholds(folder: Path, text: str) -> str:
     ("text", "code", "told"),
     [
         ("max_cross_track_error: 0.5\nmin_distance: 100", 0, "pass"),
-        ("max_cross_track_error: 0.01", 1, "FAIL"),
+        ("max_cross_track_error: 0.01", 1, "fail"),
         ("fall_backs: 48", 1, "49 ticks"),
         ("max_error: 0.5", 2, "limits.yaml: unknown key 'max_error'"),
         ("max_cross_track_error: wide", 2, "max_cross_track_error = 'wide' must be a number"),

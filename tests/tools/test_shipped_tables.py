@@ -12,7 +12,7 @@ from ampc_ros.mpc.gain_table import gain_table, load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tune import build_parser
 from launch_scripts.tuning.fitness import Node, fitness
-from launch_scripts.tuning.task import describe_task, held_out_nodes, is_reachable, read_task
+from launch_scripts.tuning.task import is_reachable, read_task
 from sim_vehicle.parameters import load_vehicle
 
 TUNED = {"paper_pso": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
@@ -28,7 +28,7 @@ def test_the_command_in_a_table_describes_the_task_that_made_it(name: str) -> No
     assert isinstance(origin, dict)
     words = origin["command"].split()
     assert words[:2] == ["python", "launch_scripts/tune.py"]
-    described = describe_task(read_task(build_parser().parse_args(words[2:])))
+    described = read_task(build_parser().parse_args(words[2:])).describe()
     assert {key: origin[key] for key in described} == json.loads(json.dumps(described))
     assert origin["vehicle"] == TUNED[name]
     assert len(origin["seeds"]) >= 2
@@ -73,7 +73,7 @@ def test_the_tuned_table_of_the_paper_steps_better_than_table_3() -> None:
     task = read_task(build_parser().parse_args(["--formulation", "paper"]))
     ratios = []
     for node in [
-        n for n in held_out_nodes(task) if is_reachable(n) and n.reference in (5.0, -10.0)
+        n for n in task.held_out_nodes() if is_reachable(n) and n.reference in (5.0, -10.0)
     ][::4]:
         tables = [load_gain_table(name) for name in ("paper_pso", "table3")]
         gains = [table.lookup(node.speed, node.reference).gains for table in tables]

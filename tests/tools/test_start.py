@@ -24,6 +24,7 @@ from launch_scripts.run.processes import Processes
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle
 from tests.bag_samples import is_complete, read
+from tests.tools.test_python_api import blocks
 from tests.waiting import TIMEOUT, wait_for
 
 ENOUGH = 6
@@ -144,6 +145,23 @@ def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
     assert not [entry for entry in read(tmp_path / "run" / "bag") if entry.topic == "/clock"]
 
 
+def test_a_controller_of_a_user_drives(tmp_path: Path) -> None:
+    file = tmp_path / "my_file.py"
+    file.write_text(blocks("my_controller.md")[0], encoding="utf-8")
+    controller = f"{file}:Stanley"
+    code, said = run(tmp_path / "run", "--controller", controller)
+    assert code == 0, said
+    assert "sc1, Stanley, paper car" in said
+    result = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert result["run"]["controller"] == controller
+    assert 0.01 < result["metrics"]["rms_error_m"] < 0.5
+    log = drive_log(read_columns(tmp_path / "run" / "bag"))
+    assert log.drive.steering.tolist() == drive_offline("sc1", controller)[1]
+    report = json.loads((tmp_path / "run" / "report.json").read_text())["drives"][0]
+    assert report["controller"] == controller
+    assert report["summary"]["unsolved_ticks"] == 0
+
+
 MISSED = {
     "recorder": [],
     "planner": ["simulator: no target_speed for"],
@@ -226,6 +244,9 @@ def test_what_only_a_node_can_refuse_is_said_in_one_line_and_nothing_is_left(
 
 
 WRONG_OPTIONS = {
+    "--controller=absent.py:Stanley": "absent.py",
+    "--controller=bad.csv:Stanley": "'bad.csv:Stanley' must be one of preview, ",
+    "--controller=bad.py:Absent": "bad.py:Absent: ",
     "--controller=magic": "'magic' must be one of preview, ",
     "--scenario=sc99": "'sc99' is neither a file nor one of the shipped scenarios: circle, ",
     "--vehicle=tank": "'tank' is neither a file nor one of the shipped vehicles: ordinary, paper",
@@ -248,6 +269,7 @@ def test_a_wrong_name_or_file_is_said_in_one_line_before_any_process_starts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "bad.csv").write_text("x_m,y_m\n0,0\nnan,1\n", encoding="utf-8")
+    (tmp_path / "bad.py").write_text("class Present:\n    period = 0.1\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delattr(Processes, "start")
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its own
@@ -256,7 +278,7 @@ def test_a_wrong_name_or_file_is_said_in_one_line_before_any_process_starts(
     assert said.startswith("error: ")
     assert WRONG_OPTIONS[option] in said
     assert said.count("\n") == 1
-    assert [file.name for file in tmp_path.iterdir()] == ["bad.csv"]
+    assert {file.name for file in tmp_path.iterdir()} - {"__pycache__"} == {"bad.csv", "bad.py"}
 
 
 def test_what_a_node_says_about_compiling_is_shown_once(

@@ -16,7 +16,7 @@ from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, load_vehicle
-from sim_vehicle.vehicle import SIZE, V_X, WORK_SIZE, drive_steps
+from sim_vehicle.vehicle import CAR_V_X, SIZE, WORK_SIZE, drive_steps
 from sim_vehicle.vehicle_row import pack_vehicle, unpack_vehicle, vehicle_numbers
 from sim_vehicle.wheels import wheel_forces
 
@@ -54,7 +54,7 @@ def drive_swarm(
 def swarm(cars: tuple[Vehicle, ...]) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Return states, queues (their lengths last), numbers, wind, frictions and scratch."""
     states, queues = np.zeros((len(cars), SIZE)), np.zeros((len(cars), 40))
-    states[:, V_X] = 14.0
+    states[:, CAR_V_X] = 14.0
     queues[:, -1] = [round(car.steering.delay / STEP) for car in cars]
     wind = 8.0 * np.random.default_rng(2).standard_normal((PERIODS * STEPS, 2))
     flat = np.array([pack_vehicle(car) for car in cars])

@@ -21,7 +21,7 @@ from launch_scripts.tune import build_parser, main
 from launch_scripts.tuning.fitness import fitness
 from launch_scripts.tuning.report import NO_SINGLE, Candidate, TuningReport
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
-from launch_scripts.tuning.task import Search, nodes_of, read_task, searches_of
+from launch_scripts.tuning.task import Search, read_task
 from launch_scripts.tuning.workers import Workers, open_workers
 from tests.waiting import TIMEOUT
 
@@ -59,7 +59,7 @@ def test_the_reported_fitness_is_that_of_the_written_gains(
     written = load_gain_table(str(tmp_path / "a.yaml"))
     kind = "table, seed 1" if proof["verdict"].endswith("table written") else "single, seed 1"
     reported = proof["candidates"][kind]["fitness"]
-    places = [n for n in nodes_of(task) if abs(n.reference) <= 2 * n.speed]
+    places = [n for n in task.nodes() if abs(n.reference) <= 2 * n.speed]
     own = [fitness(n, [written.lookup(n.speed, n.reference).gains])[0] for n in places]
     assert own == reported
 
@@ -126,7 +126,7 @@ def searched(workers: Workers, folder: Path, show: Callable[[Search, Swarm], Non
     """Run the searches of a small task."""
     task = read_task(build_parser().parse_args([*SMALL, "--generations", "6"]))
     checkpoints = Checkpoints(folder)
-    return run_searches(searches_of(task), workers, checkpoints, show)
+    return run_searches(task.searches(), workers, checkpoints, show)
 
 
 def ignore(search: Search, swarm: Swarm) -> None:

@@ -18,14 +18,8 @@ from launch_scripts.tuning.task import (
     PRESETS,
     SYMBOLS,
     Search,
-    build_table,
-    describe_task,
-    dimensions,
-    gains_at,
-    held_out_nodes,
     read_task,
     search_space,
-    searches_of,
 )
 
 FIXED = PRESETS["preview"].space.fixed
@@ -38,7 +32,7 @@ def task(*words: str):  # type: ignore[no-untyped-def]
 
 def swarm() -> Swarm:
     """Return a swarm with particles whose fitness is infinite."""
-    where = dimensions(search_space({"R": (1.0, 100.0)}, FIXED))
+    where = search_space({"R": (1.0, 100.0)}, FIXED).dimensions
     settings = PsoSettings(particles=3, generations=2)
     cost = lambda x: float(x[0]) if x[0] < 1.0 else np.inf  # noqa: E731
     return minimize(cost, where, settings, np.random.default_rng(1)).swarm
@@ -46,7 +40,7 @@ def swarm() -> Swarm:
 
 def test_weights_are_searched_in_the_logarithm() -> None:
     space = search_space({"R": (1.0, 1e4), "alpha": (0.0, 0.8)}, FIXED)
-    rows = gains_at(space, np.array([[0.0, 0.0], [2.0, 0.4], [4.0, 0.8]]))
+    rows = space.gains_at(np.array([[0.0, 0.0], [2.0, 0.4], [4.0, 0.8]]))
     np.testing.assert_allclose(rows[:, 5], [1.0, 100.0, 1e4])
     np.testing.assert_allclose(rows[:, 3], [0.0, 0.4, 0.8])
     np.testing.assert_array_equal(rows[:, :3], [FIXED[:3]] * 3)
@@ -54,14 +48,14 @@ def test_weights_are_searched_in_the_logarithm() -> None:
 
 def test_control_horizon_and_terms_stay_within_the_prediction_horizon() -> None:
     space = search_space({"N_p": (1, 50), "N_c": (1, 50), "N": (1, 9)}, FIXED)
-    rows = gains_at(space, np.array([[4.0, 50.0, 9.0], [50.0, 3.0, 2.0]]))
+    rows = space.gains_at(np.array([[4.0, 50.0, 9.0], [50.0, 3.0, 2.0]]))
     np.testing.assert_array_equal(rows[:, :3], [[4, 4, 4], [50, 3, 2]])
 
 
 def test_table_single_set_and_random_search_drive_the_same_number_of_cars() -> None:
     some = task("--speeds", "5", "9", "15", "--seeds", "3")
     cost: dict[str, int] = {}
-    for job in searches_of(some):
+    for job in some.searches():
         drives = job.settings.particles * (job.settings.generations + 1) * len(job.nodes)
         cost[job.purpose] = cost.get(job.purpose, 0) + drives
     assert len(set(cost.values())) == 1
@@ -70,19 +64,19 @@ def test_table_single_set_and_random_search_drive_the_same_number_of_cars() -> N
 
 def test_references_beyond_two_seconds_of_speed_are_not_searched() -> None:
     some = task(*PAPER_GRID)
-    places = {(n.speed, n.reference) for job in searches_of(some) for n in job.nodes}
+    places = {(n.speed, n.reference) for job in some.searches() for n in job.nodes}
     assert places == {(3.0, 0.0), (9.0, 0.0), (9.0, 15.0)}
 
 
 def test_held_out_speeds_lie_half_way_between_those_of_the_grid() -> None:
-    assert [node.speed for node in held_out_nodes(task("--speeds", "4", "6", "10"))] == [5.0, 8.0]
+    assert [node.speed for node in task("--speeds", "4", "6", "10").held_out_nodes()] == [5.0, 8.0]
 
 
 def test_every_search_has_random_numbers_of_its_own_that_depend_on_seed_and_node() -> None:
     def first(search: Search) -> float:
         return float(search.rng.random())
 
-    jobs = searches_of(task("--speeds", "5", "9", "--seeds", "1", "2"))
+    jobs = task("--speeds", "5", "9", "--seeds", "1", "2").searches()
     assert len({first(job) for job in jobs}) == len(jobs)
     assert first(next(j for j in jobs if j.name == "table_2_001")) == float(
         np.random.default_rng([2, 1]).random()
@@ -92,7 +86,7 @@ def test_every_search_has_random_numbers_of_its_own_that_depend_on_seed_and_node
 def test_a_gap_in_a_table_takes_the_gains_of_its_neighbour_at_the_same_speed() -> None:
     gains = [FIXED._replace(increment_weight=R) for R in (1.0, 2.0, 3.0)]
     places = [(3.0, 0.0), (9.0, 0.0), (9.0, 15.0)]
-    table = build_table(dict(zip(places, gains, strict=True)), task(*PAPER_GRID))
+    table = task(*PAPER_GRID).build_table(dict(zip(places, gains, strict=True)))
     assert [node.increment_weight for node in table.nodes] == [1.0, 1.0, 2.0, 3.0]
 
 
@@ -106,7 +100,7 @@ def test_the_command_leads_to_the_same_task() -> None:
 
 
 def test_a_task_describes_itself_in_json() -> None:
-    described = describe_task(task(*PAPER_GRID))
+    described = task(*PAPER_GRID).describe()
     assert json.loads(json.dumps(described)) == described
     assert described["bounds"]["alpha"] == [0.75, 0.99]
     assert "output_weight" not in described
@@ -181,11 +175,11 @@ def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_task_is_refused_with_the_field_that_differs(
     tmp_path: Path,
 ) -> None:
-    kept, some = Checkpoints(tmp_path / "c"), describe_task(task("--speeds", "5", "9"))
+    kept, some = Checkpoints(tmp_path / "c"), task("--speeds", "5", "9").describe()
     kept.begin(some, False)
     kept.begin(some, True)
     with pytest.raises(ValueError, match=r"speed = \[5.0, 9.0\], now \[5.0, 8.0\]"):
-        kept.begin(describe_task(task("--speeds", "5", "8")), True)
+        kept.begin(task("--speeds", "5", "8").describe(), True)
     with pytest.raises(ValueError, match=r"c: .*--resume"):
         kept.begin(some, False)
 

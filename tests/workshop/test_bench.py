@@ -130,31 +130,34 @@ def test_the_node_has_thresholds_with_a_busy_core_and_other_tables_have_none() -
     assert threshold_table([Section("growth_rows", "", "", rows)]) == []
 
 
-def test_written_results_can_be_read_and_inserted_into_a_readme(
+def test_the_page_of_the_documentation_has_the_marks() -> None:
+    text = bench.PAGE.read_text(encoding="utf-8")
+    assert text.count(bench_report.BEGIN) == text.count(bench_report.END) == 1
+
+
+def test_written_results_can_be_read_and_inserted_into_a_page(
     written: Path, tmp_path: Path
 ) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(
-        f"before\n{bench_report.BEGIN}\noutdated\n{bench_report.END}\nafter\n", "utf-8"
-    )
+    page = tmp_path / "benchmarks.md"
+    page.write_text(f"before\n{bench_report.BEGIN}\noutdated\n{bench_report.END}\nafter\n", "utf-8")
     words = ["--read", str(written / "bench.json"), "--output", str(tmp_path)]
-    assert bench.main([*words, "--readme", str(readme)]) == 0
+    assert bench.main([*words, "--page", str(page)]) == 0
     for kind in ("json", "md"):
         assert (tmp_path / f"bench.{kind}").read_bytes() == (written / f"bench.{kind}").read_bytes()
-    text = readme.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "outdated" not in text
     assert "| >= 60,000 |" in text
 
 
-def test_readme_without_marks_is_an_error(written: Path, tmp_path: Path) -> None:
+def test_a_page_without_marks_is_an_error(written: Path, tmp_path: Path) -> None:
     machine, (section, *_) = bench_report.read([written / "bench.json"])
-    readme = tmp_path / "README.md"
-    readme.write_text("nothing", "utf-8")
+    page = tmp_path / "benchmarks.md"
+    page.write_text("nothing", "utf-8")
     with pytest.raises(ValueError, match="missing"):
-        bench_report.put_into(readme, machine, section)
-    assert readme.read_text("utf-8") == "nothing"
+        bench_report.put_into(page, machine, section)
+    assert page.read_text("utf-8") == "nothing"
 
 
 def test_report_names_the_machine_but_no_host_and_no_folder(written: Path) -> None:

@@ -43,7 +43,7 @@ Tick = Callable[..., TickRecord | None]
 
 
 def with_guarded(change: Callable[[GuardResult, float], GuardResult]) -> Any:
-    """Give a guard's step whose result is changed, from the angle in force."""
+    """Return a guard's step whose result is changed, from the angle in force."""
     step = Guard.step
 
     def changed(self: Guard, *arguments: Any) -> GuardResult:

@@ -20,8 +20,9 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -60,7 +61,7 @@ class BaseNode(Node):
         self.trouble = ""
         self.rejected = 0
         self.diagnostics = self.create_publisher(
-            DiagnosticArray, ros.DIAGNOSTICS, ros.RELIABLE, event_callbacks=NO_EVENTS
+            DiagnosticArray, topics.DIAGNOSTICS, qos.RELIABLE, event_callbacks=NO_EVENTS
         )
 
     @property
@@ -72,14 +73,14 @@ class BaseNode(Node):
         """Return the topics of this node that the awaited recorder has not subscribed to."""
         if not self.wait_for_recorder:
             return []
-        topics = {each.topic_name for each in self.publishers} - {ros.PARAMETER_EVENTS}
-        missing = [topic for topic in sorted(topics) if not self._is_recorded(topic)]
+        published = {each.topic_name for each in self.publishers} - {topics.PARAMETER_EVENTS}
+        missing = []
+        for topic in sorted(published):
+            subscribers = self.get_subscriptions_info_by_topic(topic)
+            if not any(subscriber.node_name == "recorder" for subscriber in subscribers):
+                missing.append(topic)
         self.wait_for_recorder, self.is_recorded = bool(missing), not missing
         return missing
-
-    def _is_recorded(self, topic: str) -> bool:
-        subscribers = self.get_subscriptions_info_by_topic(topic)
-        return any(subscriber.node_name == "recorder" for subscriber in subscribers)
 
     def publish_final(self) -> None:
         """Publish the final messages of this node."""
@@ -184,9 +185,14 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
+    name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
     try:
-        _init()
-        created.append(_create(make_node))
+        try:
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:
+            raise ValueError(error) from error
+        with log_compilation(name, get_logger(name).info):
+            created.append(make_node())
         return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0
@@ -195,20 +201,6 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
         return 2
     finally:
         rclpy.try_shutdown()
-
-
-def _init() -> None:
-    try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        raise ValueError(error) from error
-
-
-def _create(make_node: Callable[[], BaseNode]) -> BaseNode:
-    """Create a node, and log if it has to compile; the class `PlannerNode` is logged as planner."""
-    name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
-    with log_compilation(name, get_logger(name).info):
-        return make_node()
 
 
 def _spin(node: BaseNode, signals: list[int]) -> int:

@@ -21,20 +21,21 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ampc_msgs_config import ros
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import quaternion_from_yaw
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
-from ampc_msgs_config.nodes.scene import NO_POINTS, Car, Shape, View, car_of, shapes, thinned
+from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
-PERIOD = 0.05
+PICTURE_PERIOD = 0.05
 """Wall time between two pictures [s]."""
 LIFETIME = 2
 """Time after which a viewer removes a marker that is not redrawn [s]. It is simulated time if the
 viewer uses that: a drive in lock-step runs up to 20 times as fast as the wall clock."""
-KINDS = {
+MARKER_TYPES = {
     "cube": Marker.CUBE,
     "line": Marker.LINE_STRIP,
     "arrow": Marker.ARROW,
@@ -48,54 +49,45 @@ class MarkerNode(BaseNode):
     def __init__(self) -> None:
         """Load the car, without subscriptions yet."""
         super().__init__("markers")
-        self.car = self._car()
-        self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
-            ros.ODOM: (Odometry, ros.NEWEST, ros.vehicle_state),
-            ros.STEERING_COMMAND: (JointState, ros.NEWEST, ros.steering_angle),
-            ros.STEERING_STATE: (JointState, ros.NEWEST, ros.steering_angle),
-            ros.REFERENCE_PATH: (PathMessage, ros.LATCHED, points_of),
-            ros.PREDICTED_PATH: (PathMessage, ros.NEWEST, points_of),
-            ros.WIND: (Vector3Stamped, ros.NEWEST, wind_of),
-            ros.STOP_REQUEST: (Bool, ros.LATCHED, lambda message: bool(message.data)),
-        }
-        self.inputs: list[Subscription] = []
-        self.new: dict[str, Any] = {}
-        self.values: dict[str, Any] = {}
-        self.pictures = 0
-        self.publisher = self.create_publisher(MarkerArray, ros.MARKERS, ros.COMMAND)
-        self.create_timer(PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(1.0, self.on_diagnostics)
-        self.get_logger().info("ready")
-
-    def _car(self) -> Car:
         file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
         to_cg = declare(
             self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
         )
         chassis = load(ChassisParameters, file, "chassis")
-        return car_of(chassis, load(SizeParameters, file, "size"), to_cg)
+        self.car = car_of(chassis, load(SizeParameters, file, "size"), to_cg)
+        self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
+            topics.ODOM: (Odometry, qos.NEWEST, ros.vehicle_state),
+            topics.STEERING_COMMAND: (JointState, qos.NEWEST, ros.steering_angle),
+            topics.STEERING_STATE: (JointState, qos.NEWEST, ros.steering_angle),
+            topics.REFERENCE_PATH: (PathMessage, qos.LATCHED, points_of),
+            topics.PREDICTED_PATH: (PathMessage, qos.NEWEST, points_of),
+            topics.WIND: (Vector3Stamped, qos.NEWEST, wind_of),
+            topics.STOP_REQUEST: (Bool, qos.LATCHED, lambda message: bool(message.data)),
+        }
+        self.inputs: list[Subscription] = []
+        self.new: dict[str, Any] = {}
+        self.values: dict[str, Any] = {}
+        self.pictures = 0
+        self.publisher = self.create_publisher(MarkerArray, topics.MARKERS, qos.COMMAND)
+        self.create_timer(
+            PICTURE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self.create_timer(1.0, self.on_diagnostics)
+        self.get_logger().info("ready")
 
     def on_timer(self) -> None:
         """Draw if there is a new state and a viewer is subscribed."""
         if not self.publisher.get_subscription_count():
-            self.unsubscribe()
+            while self.inputs:
+                self.destroy_subscription(self.inputs.pop())
+            self.new.clear()
+            self.values.clear()
         elif not self.inputs:
-            self.subscribe()
+            for topic, (message_type, qos, _) in self.sources.items():
+                keep = partial(self.new.__setitem__, topic)
+                self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
         elif self.unpack_new():
             self.draw()
-
-    def subscribe(self) -> None:
-        """Subscribe to the drive."""
-        for topic, (message_type, qos, _) in self.sources.items():
-            keep = partial(self.new.__setitem__, topic)
-            self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
-
-    def unsubscribe(self) -> None:
-        """Remove all subscriptions and values."""
-        while self.inputs:
-            self.destroy_subscription(self.inputs.pop())
-        self.new.clear()
-        self.values.clear()
 
     def unpack_new(self) -> bool:
         """Unpack new messages; return whether there is a new state. Invalid input is left out."""
@@ -108,19 +100,19 @@ class MarkerNode(BaseNode):
                 updated.add(topic)
             except (ValueError, OverflowError) as error:
                 self.reject(ValueError(f"{topic}: {error}"))
-        return ros.ODOM in updated
+        return topics.ODOM in updated
 
     def draw(self) -> None:
         """Publish a picture of the current values."""
         values, straight = self.values, ros.Stamped(0, 0.0)
-        state: VehicleState = values[ros.ODOM]
+        state: VehicleState = values[topics.ODOM]
         view = View(
             state,
-            values.get(ros.STEERING_STATE, values.get(ros.STEERING_COMMAND, straight)).value,
-            values.get(ros.WIND, (0.0, 0.0)),
-            values.get(ros.REFERENCE_PATH, NO_POINTS),
-            values.get(ros.PREDICTED_PATH, NO_POINTS),
-            values.get(ros.STOP_REQUEST, False),
+            values.get(topics.STEERING_STATE, values.get(topics.STEERING_COMMAND, straight)).value,
+            values.get(topics.WIND, (0.0, 0.0)),
+            values.get(topics.REFERENCE_PATH, EMPTY_PATH),
+            values.get(topics.PREDICTED_PATH, EMPTY_PATH),
+            values.get(topics.STOP_REQUEST, False),
         )
         markers = [marker(shape, state.stamp_ns) for shape in shapes(view, self.car)]
         self.publisher.publish(MarkerArray(markers=markers))
@@ -129,7 +121,7 @@ class MarkerNode(BaseNode):
     def on_diagnostics(self) -> None:
         """Publish diagnostics once a second, while a viewer is subscribed."""
         if self.inputs:
-            waiting = "" if ros.ODOM in self.values else "waiting for odom"
+            waiting = "" if topics.ODOM in self.values else "waiting for odom"
             self.report(self.now_ns, waiting, {"pictures": self.pictures})
 
 
@@ -139,10 +131,10 @@ def points_of(message: PathMessage) -> Array:
     Raises:
         ValueError: The frame is not `map`, or a number is not finite.
     """
-    if message.header.frame_id != ros.MAP:
-        raise ValueError(f"frame_id = {message.header.frame_id!r} must be {ros.MAP!r}")
+    if message.header.frame_id != topics.MAP:
+        raise ValueError(f"frame_id = {message.header.frame_id!r} must be {topics.MAP!r}")
     positions = [pose.pose.position for pose in message.poses]
-    return thinned(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
+    return thin_points(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
 
 
 def wind_of(message: Vector3Stamped) -> tuple[float, float]:
@@ -159,8 +151,8 @@ def wind_of(message: Vector3Stamped) -> tuple[float, float]:
 
 def marker(shape: Shape, stamp_ns: int) -> Marker:
     """Pack a shape."""
-    message = Marker(ns=shape.name, id=shape.number, type=KINDS[shape.kind], text=shape.text)
-    message.header.frame_id, message.header.stamp = ros.MAP, ros.time_message(stamp_ns)
+    message = Marker(ns=shape.name, id=shape.number, type=MARKER_TYPES[shape.kind], text=shape.text)
+    message.header.frame_id, message.header.stamp = topics.MAP, ros.time_message(stamp_ns)
     message.lifetime.sec = LIFETIME
     message.scale = Vector3(**dict(zip("xyz", map(float, shape.size), strict=True)))
     message.color = ColorRGBA(**dict(zip("rgba", shape.colour, strict=True)))

@@ -15,7 +15,6 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -29,7 +28,7 @@ from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
-from ampc_msgs_config.recording.message_types import TYPES, message_class, type_name_of
+from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -51,10 +50,15 @@ LATCHED_EVERYTHING = QoSProfile(
 BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in TYPES.items() if name != topics.MARKERS
+    name: message_class(type_) for name, type_ in TOPIC_TYPES.items() if name != topics.MARKERS
 }
 """Without markers: they repeat other topics, and would be three quarters of a bag."""
-LATCHED = {topics.REFERENCE_PATH, topics.STOP_REQUEST, topics.TF_STATIC, *topics.CONFIGURATIONS}
+LATCHED_TOPICS = {
+    topics.REFERENCE_PATH,
+    topics.STOP_REQUEST,
+    topics.TF_STATIC,
+    *topics.CONFIGURATIONS,
+}
 DESCRIBING = (*topics.QUANTITIES, topics.PREDICTED_PATH, topics.TICK)
 """Topics with which the controller describes its last command."""
 SHARED_TOPICS = {topics.PARAMETER_EVENTS, topics.ROSOUT}
@@ -77,9 +81,16 @@ class Recorder(Node):
             raise ValueError("parameter 'output' must name the folder of the bag")
         items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         further = parse_topics(items)
-        self.arrivals = self.empty_arrivals()
-        self.odom = self.resolve_topic_name(topics.ODOM)
-        self.derives_transforms = topics.TF not in map(self.resolve_topic_name, further)
+        full = self.resolve_topic_name
+        self.arrivals = Arrivals(
+            simulated=bool(self.get_parameter("use_sim_time").value),
+            clock=full(topics.CLOCK),
+            command=full(topics.STEERING_COMMAND),
+            quantities={full(name) for name in DESCRIBING},
+            latched={full(name) for name in LATCHED_TOPICS},
+        )
+        self.odom = full(topics.ODOM)
+        self.derives_transforms = topics.TF not in map(full, further)
         self.inputs: dict[str, Subscription] = {}
         self.incompatible: set[str] = set()
         self.first_numbers: dict[str, int] = {}
@@ -87,23 +98,12 @@ class Recorder(Node):
         self.end_ns = sys.maxsize
         self.last_arrival = time.monotonic()
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
-            qos = LATCHED_EVERYTHING if name in LATCHED else EVERYTHING
-            self.subscribe(self.resolve_topic_name(name), message_type, qos)
+            qos = LATCHED_EVERYTHING if name in LATCHED_TOPICS else EVERYTHING
+            self.subscribe(full(name), message_type, qos)
         self.recording = Recording(Path(output))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WRITE_PERIOD, self.on_timer, clock=steady)
         self.get_logger().info(f"recording to {self.recording.folder}")
-
-    def empty_arrivals(self) -> Arrivals:
-        """Return an empty queue for messages that wait to be written."""
-        full = self.resolve_topic_name
-        return Arrivals(
-            simulated=bool(self.get_parameter("use_sim_time").value),
-            clock=full(topics.CLOCK),
-            command=full(topics.STEERING_COMMAND),
-            quantities={full(name) for name in DESCRIBING},
-            latched={full(name) for name in LATCHED},
-        )
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Declare a parameter and return its value."""
@@ -129,16 +129,13 @@ class Recorder(Node):
         """
         taken: tuple[bytes, dict[str, int]] | None = (data, info)
         while taken:
-            self.keep(topic, *taken)
+            data, info = taken
+            self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
+            arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
+            self.arrivals.waiting.append(arrival)
+            if arrival.publish_ns < self.end_ns:
+                self.last_arrival = time.monotonic()
             taken = take_serialized(self.inputs[topic])
-
-    def keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
-        """Queue a message until it is written."""
-        self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
-        arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
-        self.arrivals.add(arrival)
-        if arrival.publish_ns < self.end_ns:
-            self.last_arrival = time.monotonic()
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware dropped."""
@@ -156,16 +153,12 @@ class Recorder(Node):
             self.get_logger().warning(
                 f"{topic}: subscribing with lower QoS, because a publisher offers less"
             )
-            self.subscribe_with_less(self.inputs[topic])
+            # without durability, or if that is too much, without reliability
+            old = self.inputs[topic]
+            latched = old.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+            self.subscribe(topic, old.msg_type, EVERYTHING if latched else BEST_EFFORT)
+            self.destroy_subscription(old)
         self.incompatible.clear()
-
-    def subscribe_with_less(self, incompatible: Subscription) -> None:
-        """Subscribe again without durability, or if that is too much, without reliability."""
-        latched = incompatible.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self.subscribe(
-            incompatible.topic_name, incompatible.msg_type, EVERYTHING if latched else BEST_EFFORT
-        )
-        self.destroy_subscription(incompatible)
 
     def write_all(self, dated: Iterable[tuple[Arrival, int]]) -> None:
         """Write messages at their log times; the first one replaces those without a log time."""
@@ -180,10 +173,9 @@ class Recorder(Node):
         topic = arrival.topic
         if topic not in self.recording.topics:
             offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
-            subscription = self.inputs[topic]
-            type_name = type_name_of(subscription.msg_type)
-            profiles = map(plain_qos, offers or [subscription.qos_profile])
-            self.recording.add_topic(topic, type_name, list(profiles))
+            own = self.inputs[topic]
+            profiles = [plain_qos(profile) for profile in offers or [own.qos_profile]]
+            self.recording.add_topic(topic, type_name_of(own.msg_type), profiles)
         self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
         if topic == self.odom and self.derives_transforms:
             self.write_transforms(arrival, log_time_ns)
@@ -193,10 +185,9 @@ class Recorder(Node):
         pose = pose_transform(odometry.data)
         if pose is None:
             return
-        transforms = {topics.TF: pose}
-        if topics.TF_STATIC not in self.recording.topics:
-            transforms = {topics.TF_STATIC: footprint_transform(odometry.data), topics.TF: pose}
-        for topic, data in transforms.items():
+        is_first = topics.TF_STATIC not in self.recording.topics
+        static = {topics.TF_STATIC: footprint_transform(odometry.data)} if is_first else {}
+        for topic, data in {**static, topics.TF: pose}.items():
             if topic not in self.recording.topics:
                 self.recording.add_topic(topic, TF_MESSAGE, [plain_qos(TRANSFORMS[topic])])
             self.recording.write(topic, data, log_time_ns, odometry.publish_ns)
@@ -248,19 +239,19 @@ def take_serialized(subscription: Subscription) -> tuple[bytes, dict[str, int]] 
 
 def plain_qos(profile: QoSProfile) -> interfaces.Qos:
     """Return a quality of service as plain data; the enumerations have the same numbers."""
-
-    def duration(value: Duration) -> interfaces.QosTime:
-        return interfaces.QosTime(*divmod(value.nanoseconds, NANOSECONDS))
-
+    durations = (profile.deadline, profile.lifespan, profile.liveliness_lease_duration)
+    deadline, lifespan, lease = (
+        interfaces.QosTime(*divmod(each.nanoseconds, NANOSECONDS)) for each in durations
+    )
     return interfaces.Qos(
         interfaces.QosHistory(profile.history),
         profile.depth,
         interfaces.QosReliability(profile.reliability),
         interfaces.QosDurability(profile.durability),
-        duration(profile.deadline),
-        duration(profile.lifespan),
+        deadline,
+        lifespan,
         interfaces.QosLiveliness(profile.liveliness),
-        duration(profile.liveliness_lease_duration),
+        lease,
         profile.avoid_ros_namespace_conventions,
     )
 

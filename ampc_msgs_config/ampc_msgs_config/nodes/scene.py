@@ -9,11 +9,11 @@ from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
-MAX_POINTS = 500
+MAX_DRAWN_POINTS = 500
 """Largest number of points of a path that is drawn."""
 WHEEL_LENGTH, WHEEL_WIDTH = 0.64, 0.22
 """Size of a usual tyre, whose height equals its length [m]."""
-CLEARANCE, HEIGHT = 0.25, 0.9
+CLEARANCE, BODY_HEIGHT = 0.25, 0.9
 """Height of the lower edge of the body above the ground, and height of the body [m]."""
 LABEL_HEIGHT = 2.0
 """Height of wind arrow and text above the ground [m]."""
@@ -24,16 +24,16 @@ CALM = 0.1
 
 Colour = tuple[float, float, float, float]
 # Colours by Okabe and Ito, distinguishable with colour blindness; red, green, blue, opacity
-BLUE: Colour = (0.0, 0.45, 0.70, 0.6)
-VERMILION: Colour = (0.84, 0.37, 0.0, 0.9)
-ORANGE: Colour = (0.90, 0.62, 0.0, 1.0)
-SKY: Colour = (0.34, 0.71, 0.91, 1.0)
-GREY: Colour = (0.6, 0.6, 0.6, 1.0)
-BLACK: Colour = (0.05, 0.05, 0.05, 1.0)
-NO_POINTS = np.empty((0, 2))
+CAR_COLOUR: Colour = (0.0, 0.45, 0.70, 0.6)
+STOP_COLOUR: Colour = (0.84, 0.37, 0.0, 0.9)
+PREDICTION_COLOUR: Colour = (0.90, 0.62, 0.0, 1.0)
+WIND_COLOUR: Colour = (0.34, 0.71, 0.91, 1.0)
+LINE_COLOUR: Colour = (0.6, 0.6, 0.6, 1.0)
+WHEEL_COLOUR: Colour = (0.05, 0.05, 0.05, 1.0)
+EMPTY_PATH = np.empty((0, 2))
 
 
-class Car(NamedTuple):
+class Outline(NamedTuple):
     """Dimensions of a car [m]."""
 
     wheelbase: float
@@ -56,7 +56,7 @@ class Shape(NamedTuple):
     """Cube: its size; line: width; arrow: shaft, head, length of head; text: height [m]."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw: float = 0.0
-    points: Array = NO_POINTS
+    points: Array = EMPTY_PATH
     """Points of a line or an arrow (n, 2) [m]."""
     height: float = 0.0
     """Height of the points above the ground [m]."""
@@ -71,33 +71,62 @@ class View(NamedTuple):
     """Road-wheel angle [rad]."""
     wind: tuple[float, float] = (0.0, 0.0)
     """Wind velocity in `map` [m/s]."""
-    reference: Array = NO_POINTS
-    prediction: Array = NO_POINTS
+    reference: Array = EMPTY_PATH
+    prediction: Array = EMPTY_PATH
     stop: bool = False
     """Whether the controller requests a stop."""
 
 
-def car_of(chassis: ChassisParameters, size: SizeParameters, base_link_to_cg: float) -> Car:
+def car_of(chassis: ChassisParameters, size: SizeParameters, base_link_to_cg: float) -> Outline:
     """Return the car of a vehicle file; with a negative distance, `odom` is at the rear axle."""
     to_rear = 0.0 if base_link_to_cg < 0 else base_link_to_cg - chassis.cg_to_rear_axle
     overhangs = size.front_overhang, size.rear_overhang
-    return Car(chassis.wheelbase, size.width, *overhangs, rear_axle=to_rear)
+    return Outline(chassis.wheelbase, size.width, *overhangs, rear_axle=to_rear)
 
 
-def shapes(view: View, car: Car) -> list[Shape]:
+def shapes(view: View, car: Outline) -> list[Shape]:
     """Return all shapes; those without values are left out."""
-    drawn = [_body(view, car), *_wheels(view, car), _label(view)]
+    state, colour = view.state, STOP_COLOUR if view.stop else CAR_COLOUR
+
+    def placed(ahead: float, left: float) -> tuple[float, float]:  # from the car's frame to `map`
+        there = at_distance(state, ahead)
+        return there.x - left * math.sin(state.yaw), there.y + left * math.cos(state.yaw)
+
+    # body
+    length = car.rear_overhang + car.wheelbase + car.front_overhang
+    middle = placed(car.rear_axle + length / 2 - car.rear_overhang, 0.0)
+    body = *middle, CLEARANCE + BODY_HEIGHT / 2
+    size = length, car.width, BODY_HEIGHT
+    drawn = [Shape("car", 0, "cube", colour, size, body, state.yaw)]
+    # wheels
+    track, front = car.width - WHEEL_WIDTH, car.rear_axle + car.wheelbase
+    left, right = wheel_angles(view.steering, car.wheelbase, track)
+    wheels = ((front, 1, left), (front, -1, right), (car.rear_axle, 1, 0), (car.rear_axle, -1, 0))
+    size = WHEEL_LENGTH, WHEEL_WIDTH, WHEEL_LENGTH
+    for number, (x, side, angle) in enumerate(wheels, start=1):
+        at = *placed(x, side * track / 2), WHEEL_LENGTH / 2
+        drawn.append(Shape("car", number, "cube", WHEEL_COLOUR, size, at, state.yaw + angle))
+    # speed and steering angle as text
+    text = f"{state.v_x:.1f} m/s, {math.degrees(view.steering):+.1f} deg"
+    text, colour = (f"STOP\n{text}", STOP_COLOUR) if view.stop else (text, LINE_COLOUR)
+    at = state.x, state.y, LABEL_HEIGHT + 0.5
+    drawn.append(Shape("text", 0, "text", colour, (0, 0, 0.7), at, text=text))
+    # paths and wind
     if len(view.reference) > 1:
-        drawn.append(Shape("reference_path", 0, "line", GREY, (0.15, 0, 0), points=view.reference))
+        line = Shape("reference_path", 0, "line", LINE_COLOUR, (0.15, 0, 0))
+        drawn.append(line._replace(points=view.reference))
     if len(view.prediction) > 1:
-        line = Shape("predicted_path", 0, "line", ORANGE, (0.2, 0, 0), points=view.prediction)
-        drawn.append(line._replace(height=0.05))
+        line = Shape("predicted_path", 0, "line", PREDICTION_COLOUR, (0.2, 0, 0), height=0.05)
+        drawn.append(line._replace(points=view.prediction))
     if math.hypot(*view.wind) > CALM:
-        drawn.append(_wind(view))
+        tail = np.array((state.x, state.y))
+        points = np.stack((tail, tail + WIND_TIME * np.array(view.wind)))
+        arrow = Shape("wind", 0, "arrow", WIND_COLOUR, (0.15, 0.4, 0.5), points=points)
+        drawn.append(arrow._replace(height=LABEL_HEIGHT))
     return drawn
 
 
-def thinned(points: Array, most: int = MAX_POINTS) -> Array:
+def thin_points(points: Array, most: int = MAX_DRAWN_POINTS) -> Array:
     """Return at most `most` evenly selected points of a path (n, 2), with its first and its last.
 
     Raises:
@@ -121,50 +150,3 @@ def wheel_angles(steering: float, wheelbase: float, track: float) -> tuple[float
     across, along = wheelbase * math.sin(steering), wheelbase * math.cos(steering)
     inside = track / 2 * math.sin(steering)
     return math.atan2(across, along - inside), math.atan2(across, along + inside)
-
-
-def _body(view: View, car: Car) -> Shape:
-    length = car.rear_overhang + car.wheelbase + car.front_overhang
-    middle = car.rear_axle + length / 2 - car.rear_overhang
-    x, y = _placed(view.state, middle, 0.0)
-    colour = VERMILION if view.stop else BLUE
-    at = (x, y, CLEARANCE + HEIGHT / 2)
-    return Shape("car", 0, "cube", colour, (length, car.width, HEIGHT), at, view.state.yaw)
-
-
-def _wheels(view: View, car: Car) -> list[Shape]:
-    track = car.width - WHEEL_WIDTH
-    front = car.rear_axle + car.wheelbase
-    left, right = wheel_angles(view.steering, car.wheelbase, track)
-    wheels = [
-        (front, track / 2, left),
-        (front, -track / 2, right),
-        (car.rear_axle, track / 2, 0.0),
-        (car.rear_axle, -track / 2, 0.0),
-    ]
-    size = WHEEL_LENGTH, WHEEL_WIDTH, WHEEL_LENGTH
-    return [
-        Shape("car", number, "cube", BLACK, size, (*_placed(view.state, x, y), WHEEL_LENGTH / 2),
-              view.state.yaw + angle)
-        for number, (x, y, angle) in enumerate(wheels, start=1)
-    ]  # fmt: skip
-
-
-def _label(view: View) -> Shape:
-    text = f"{view.state.v_x:.1f} m/s, {math.degrees(view.steering):+.1f} deg"
-    at = view.state.x, view.state.y, LABEL_HEIGHT + 0.5
-    colour = VERMILION if view.stop else GREY
-    text = f"STOP\n{text}" if view.stop else text
-    return Shape("text", 0, "text", colour, (0, 0, 0.7), at, text=text)
-
-
-def _wind(view: View) -> Shape:
-    tail = np.array((view.state.x, view.state.y))
-    points = np.stack((tail, tail + WIND_TIME * np.array(view.wind)))
-    return Shape("wind", 0, "arrow", SKY, (0.15, 0.4, 0.5), points=points, height=LABEL_HEIGHT)
-
-
-def _placed(state: VehicleState, ahead: float, left: float) -> tuple[float, float]:
-    """Convert a point in the car's frame to `map` [m]."""
-    there = at_distance(state, ahead)
-    return there.x - left * math.sin(state.yaw), there.y + left * math.cos(state.yaw)

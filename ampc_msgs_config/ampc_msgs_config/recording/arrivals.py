@@ -58,14 +58,11 @@ class Arrivals:
         self.simulated, self.clock, self.command = simulated, clock, command
         self.quantities, self.latched = quantities, latched
         self.waiting: list[Arrival] = []
+        """Queue; the recorder appends to it."""
         self.start_ns = time.time_ns()
         self.clock_ns = self.command_ns = 0
         self.clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)
         self.undated = 0
-
-    def add(self, arrival: Arrival) -> None:
-        """Add a message."""
-        self.waiting.append(arrival)
 
     def take_undated(self) -> Iterator[Arrival]:
         """Return the messages that wait for the simulated clock to start, each message once."""

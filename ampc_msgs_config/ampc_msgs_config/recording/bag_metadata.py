@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,9 +11,9 @@ import yaml
 
 VERSION = 9
 ROS_DISTRO = "jazzy"
-ROOT = "rosbag2_bagfile_information"
+ROOT_KEY = "rosbag2_bagfile_information"
 FILE_NAME = "metadata.yaml"
-Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+FAST_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 @dataclass
@@ -32,12 +32,21 @@ class Extent:
         self.end_ns = max(self.end_ns, log_time_ns)
         self.count += 1
 
-    def include(self, other: "Extent") -> None:
-        """Count the messages of another extent too."""
-        if other.count:
-            self.start_ns = min(self.start_ns, other.start_ns) if self.count else other.start_ns
-            self.end_ns = max(self.end_ns, other.end_ns)
-            self.count += other.count
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the extent as rosbag2 states it."""
+        return {
+            "starting_time": {"nanoseconds_since_epoch": self.start_ns},
+            "duration": {"nanoseconds": self.end_ns - self.start_ns},
+            "message_count": self.count,
+        }
+
+
+def total_of(extents: Iterable[Extent]) -> Extent:
+    """Return the extent of all files of a bag together."""
+    filled = [each for each in extents if each.count]
+    start_ns = min((each.start_ns for each in filled), default=0)
+    end_ns = max((each.end_ns for each in filled), default=0)
+    return Extent(sum(each.count for each in filled), start_ns, end_ns)
 
 
 @dataclass
@@ -50,11 +59,8 @@ class Topic:
     """Quality of service of each publisher, as version 9 states it."""
     type_hash: str
     encoding: str = "cdr"
-    extent: Extent = field(default_factory=Extent)
-
-    def without_messages(self) -> "Topic":
-        """Return a copy with an empty extent."""
-        return replace(self, extent=Extent())
+    count: int = 0
+    """Number of messages."""
 
 
 def write_metadata(
@@ -74,9 +80,34 @@ def write_metadata(
     Raises:
         OSError: It cannot be written; the old one stays.
     """
+    topic_entries = [
+        {
+            "topic_metadata": {
+                "name": topic.name,
+                "type": topic.type_name,
+                "serialization_format": topic.encoding,
+                "offered_qos_profiles": topic.offers,
+                "type_description_hash": topic.type_hash,
+            },
+            "message_count": topic.count,
+        }
+        for topic in topics
+    ]
+    information = {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "relative_file_paths": list(files),
+        **total_of(files.values()).as_mapping(),
+        "topics_with_message_count": topic_entries,
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [{"path": name, **extent.as_mapping()} for name, extent in files.items()],
+        "custom_data": None,
+        "ros_distro": os.environ.get("ROS_DISTRO", ROS_DISTRO),
+    }
     draft = folder / f"{FILE_NAME}.tmp"
     try:
-        draft.write_text(to_yaml(metadata_mapping(files, topics, kept)), encoding="utf-8")
+        draft.write_text(to_block_yaml({ROOT_KEY: {**information, **kept}}), encoding="utf-8")
         draft.replace(folder / FILE_NAME)
     except OSError:
         draft.unlink(missing_ok=True)
@@ -87,55 +118,11 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     """Return the content of `metadata.yaml`, empty if it is missing or damaged."""
     try:
         content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
-        return dict(content[ROOT])
+        return dict(content[ROOT_KEY])
     except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
         return {}
 
 
-def to_yaml(content: Any) -> str:
+def to_block_yaml(content: Any) -> str:
     """Return the YAML text of plain lists and mappings."""
-    return str(yaml.dump(content, Dumper=Dumper, sort_keys=False))
-
-
-def metadata_mapping(
-    files: Mapping[str, Extent], topics: Iterable[Topic], kept: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the content of `metadata.yaml`."""
-    total = Extent()
-    for extent in files.values():
-        total.include(extent)
-    topic_entries = [
-        {
-            "topic_metadata": {
-                "name": topic.name,
-                "type": topic.type_name,
-                "serialization_format": topic.encoding,
-                "offered_qos_profiles": topic.offers,
-                "type_description_hash": topic.type_hash,
-            },
-            "message_count": topic.extent.count,
-        }
-        for topic in topics
-    ]
-    information = {
-        "version": VERSION,
-        "storage_identifier": "mcap",
-        "relative_file_paths": list(files),
-        **extent_mapping(total),
-        "topics_with_message_count": topic_entries,
-        "compression_format": "",
-        "compression_mode": "",
-        "files": [{"path": name, **extent_mapping(extent)} for name, extent in files.items()],
-        "custom_data": None,
-        "ros_distro": os.environ.get("ROS_DISTRO", ROS_DISTRO),
-    }
-    return {ROOT: {**information, **kept}}
-
-
-def extent_mapping(extent: Extent) -> dict[str, Any]:
-    """Return an extent as rosbag2 states it."""
-    return {
-        "starting_time": {"nanoseconds_since_epoch": extent.start_ns},
-        "duration": {"nanoseconds": extent.end_ns - extent.start_ns},
-        "message_count": extent.count,
-    }
+    return str(yaml.dump(content, Dumper=FAST_DUMPER, sort_keys=False))

@@ -18,7 +18,7 @@ from ampc_msgs_config.recording.bag_metadata import (
     FILE_NAME,
     Extent,
     Topic,
-    to_yaml,
+    to_block_yaml,
     write_metadata,
 )
 from ampc_msgs_config.recording.message_types import define
@@ -93,7 +93,7 @@ class Recording:
             self.schemas[type_name] = self.writer.register_schema(type_name, "ros2msg", text)
         profiles = [dict(qos) for qos in dump_qos_v9(list(offers))]
         metadata = {
-            "offered_qos_profiles": to_yaml(profiles).strip(),
+            "offered_qos_profiles": to_block_yaml(profiles).strip(),
             "topic_type_hash": definition.type_hash,
         }
         schema = self.schemas[type_name]
@@ -102,10 +102,10 @@ class Recording:
 
     def write(self, name: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Add a serialised message to a topic that was added before; times are [ns]."""
-        number = self.topics[name].extent.count
+        topic, channel = self.topics[name], self.channels[name]
         with self.on_disk():
-            self.writer.add_message(self.channels[name], log_time_ns, data, publish_time_ns, number)
-        self.topics[name].extent.add(log_time_ns)
+            self.writer.add_message(channel, log_time_ns, data, publish_time_ns, topic.count)
+        topic.count += 1
         self.extent.add(log_time_ns)
         if time.monotonic() - self.flushed > FLUSH_PERIOD:
             self.flush()

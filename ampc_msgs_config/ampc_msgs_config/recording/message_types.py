@@ -1,7 +1,6 @@
 """Message types: that of each topic, and what a bag states about a type."""
 
 import importlib
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ampc_msgs_config import topics
 
-TYPES = {
+TOPIC_TYPES = {
     topics.CLOCK: "rosgraph_msgs/msg/Clock",
     topics.ODOM: "nav_msgs/msg/Odometry",
     topics.REFERENCE_PATH: "nav_msgs/msg/Path",
@@ -86,17 +85,11 @@ def read_definitions(type_name: str) -> dict[str, Any]:
     candidates = [parent / "share" / package / "msg" / f"{name}.msg" for parent in module.parents]
     file = next((file for file in candidates if file.is_file()), candidates[-1])
     types = dict(get_types_from_msg(file.read_text(encoding="utf-8"), type_name))
-    for _, field_type in types[type_name][1]:
-        for inner in names_in(field_type):
-            if inner not in JAZZY.fielddefs:
-                types |= read_definitions(inner)
+    kind: Any
+    content: Any
+    for _, (kind, content) in types[type_name][1]:
+        while kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            kind, content = content[0]
+        if kind is Nodetype.NAME and content not in JAZZY.fielddefs:
+            types |= read_definitions(content)
     return types
-
-
-def names_in(field_type: Any) -> Iterator[str]:
-    """Return the name of the message type in a field, also in an array or a sequence."""
-    kind, content = field_type
-    if kind is Nodetype.NAME:
-        yield content
-    elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        yield from names_in(content[0])

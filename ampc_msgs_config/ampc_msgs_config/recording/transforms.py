@@ -13,18 +13,6 @@ TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 FOOTPRINT = "base_footprint"
 """Projection of the car onto the ground (REP-120). Our motion is planar: it is `base_link`."""
 
-TfMessage, TransformStamped, Transform, Vector3, Quaternion, Header = (
-    JAZZY.types[name]
-    for name in (
-        TF_MESSAGE,
-        "geometry_msgs/msg/TransformStamped",
-        "geometry_msgs/msg/Transform",
-        "geometry_msgs/msg/Vector3",
-        "geometry_msgs/msg/Quaternion",
-        "std_msgs/msg/Header",
-    )
-)
-
 
 def pose_transform(odometry: bytes) -> bytes | None:
     """Build the `/tf` message of a serialised odometry: its frame -> its child frame.
@@ -34,25 +22,30 @@ def pose_transform(odometry: bytes) -> bytes | None:
         None if they are not finite, the quaternion is zero, or a frame has no name.
     """
     message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    translation, rotation = (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
-    if not all(map(math.isfinite, translation + rotation)) or not any(rotation):
+    at, turned = message.pose.pose.position, message.pose.pose.orientation
+    pose = at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w
+    names = message.header.frame_id, message.child_frame_id
+    if not (all(map(math.isfinite, pose)) and any(pose[3:]) and all(names)):
         return None
-    if not message.header.frame_id or not message.child_frame_id:
-        return None
-    transform: Any = Transform(Vector3(*translation), Quaternion(*rotation))
-    return serialized(message.header, message.child_frame_id, transform)
+    return transform_message(message.header, message.child_frame_id, pose)
 
 
 def footprint_transform(odometry: bytes) -> bytes:
     """Build the `/tf_static` message of a serialised odometry: its child frame -> FOOTPRINT."""
     message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
-    transform: Any = Transform(Vector3(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-    header: Any = Header(message.header.stamp, message.child_frame_id)
-    return serialized(header, FOOTPRINT, transform)
+    header = build_message("std_msgs/msg/Header", message.header.stamp, message.child_frame_id)
+    return transform_message(header, FOOTPRINT, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
 
 
-def serialized(header: Any, child: str, transform: Any) -> bytes:
-    """Return one transform as a serialised tf2_msgs/TFMessage."""
-    stamped = TransformStamped(header, child, transform)
-    return bytes(JAZZY.serialize_cdr(TfMessage([stamped]), TF_MESSAGE))
+def transform_message(header: Any, child: str, pose: tuple[float, ...]) -> bytes:
+    """Return position and quaternion as a serialised tf2_msgs/TFMessage."""
+    translation = build_message("geometry_msgs/msg/Vector3", *pose[:3])
+    rotation = build_message("geometry_msgs/msg/Quaternion", *pose[3:])
+    transform = build_message("geometry_msgs/msg/Transform", translation, rotation)
+    stamped = build_message("geometry_msgs/msg/TransformStamped", header, child, transform)
+    return bytes(JAZZY.serialize_cdr(build_message(TF_MESSAGE, [stamped]), TF_MESSAGE))
+
+
+def build_message(type_name: str, *fields: Any) -> Any:
+    """Return a message of ROS 2 Jazzy, whose type need not be installed."""
+    return JAZZY.types[type_name](*fields)

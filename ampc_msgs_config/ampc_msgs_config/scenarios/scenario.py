@@ -15,7 +15,6 @@ from ampc_msgs_config.paths.curves import (
     AnyPath,
     Lane,
     StretchedPath,
-    Track,
     build_curve,
     q,
     stretched,
@@ -125,7 +124,7 @@ def speed_at(profile: SpeedProfile, place: float) -> float:
 
 
 @compiled
-def target_speed(
+def preview_speed(
     profile: SpeedProfile, path: Path, index: int, elapsed: float, x: float, y: float, yaw: float
 ) -> tuple[float, int]:
     """Return the speed that the driver has to reach one preview time later.
@@ -163,7 +162,7 @@ class SpeedPlanner:
         if self.start_ns is None:
             self.start_ns = state.stamp_ns
         elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
-        speed, self.index = target_speed(
+        speed, self.index = preview_speed(
             self.profile, self.path, self.index, elapsed, state.x, state.y, state.yaw
         )
         return speed
@@ -202,11 +201,13 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
         content["speed"] = [[0.0, speed]]
     drive = config.build(ScenarioFile, content, str(file))
     try:
-        profile = _profile(drive.speed)
-        curve, lanes = _track(drive.path, size)
-        wind = (
-            _same_as(drive.wind.same_as, "wind") if isinstance(drive.wind, SameAs) else drive.wind
-        )
+        speeds = _resolved(drive.speed, "speed")
+        at, values = np.ascontiguousarray(np.array(speeds, dtype=float).T)
+        profile = check_profile(SpeedProfile(False, at, values))
+        curve, lanes = build_curve(_resolved(drive.path, "path"), size)
+        if isinstance(drive.path, StretchedPath):
+            curve, lanes = stretched((curve, lanes), drive.path.stretch)
+        wind = _resolved(drive.wind, "wind")
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     time = np.arange(0.0, drive.duration, 0.1).tolist()
@@ -222,28 +223,18 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
     )
 
 
-def _same_as(name: str, key: str) -> Any:
-    """Return the value of a key in another scenario file, which must be that file's own."""
-    file = config.find("scenarios", name)
+def _resolved(value: Any, key: str) -> Any:
+    """Return the value of a key, or that in the other scenario file to which it refers."""
+    if not isinstance(value, SameAs | StretchedPath):
+        return value
+    file = config.find("scenarios", value.same_as if isinstance(value, SameAs) else value.scenario)
     content = config.read(file)
     if key not in content:
         raise ValueError(f"{file}: missing key {key!r}")
-    value = getattr(config.build(ScenarioFile, content, str(file)), key)
-    if isinstance(value, SameAs | StretchedPath):
+    other = getattr(config.build(ScenarioFile, content, str(file)), key)
+    if isinstance(other, SameAs | StretchedPath):
         raise ValueError(f"{file}: {key} refers to another scenario: name that one")
-    return value
-
-
-def _track(shape: AnyPath, size: SizeParameters) -> Track:
-    if isinstance(shape, StretchedPath):
-        return stretched(build_curve(_same_as(shape.scenario, "path"), size), shape.stretch)
-    return build_curve(shape, size)
-
-
-def _profile(speed: tuple[tuple[float, float], ...] | SameAs) -> SpeedProfile:
-    rows = _same_as(speed.same_as, "speed") if isinstance(speed, SameAs) else speed
-    at, values = np.ascontiguousarray(np.array(rows, dtype=float).T)
-    return check_profile(SpeedProfile(False, at, values))
+    return other
 
 
 def check_profile(profile: SpeedProfile) -> SpeedProfile:

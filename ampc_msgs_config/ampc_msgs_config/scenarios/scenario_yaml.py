@@ -5,8 +5,8 @@ Long rows of numbers are stored as text, `x: '0.0 0.5 1.0'`, which is fast to re
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -16,22 +16,28 @@ from ampc_msgs_config.paths.curves import Lane
 from ampc_msgs_config.scenarios.scenario import START_OFFSET, Scenario, SpeedProfile, check_profile
 from ampc_msgs_config.scenarios.wind import Wind
 from ampc_msgs_config.types import Array
-from ampc_msgs_config.validation import Checked, dotted, number
+from ampc_msgs_config.validation import dotted, number
 
 LONGEST_ROW = 1_000_000
 """Greatest number of values in a row of numbers."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PointRows(Checked):
+class DocumentHeader(NamedTuple):
+    """First keys of a published configuration."""
+
+    version: str
+    number: int
+    """Count of the configurations of a run."""
+
+
+class PointRows(NamedTuple):
     """Points of a path as rows of numbers [m]."""
 
     x: str
     y: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProfileRows(Checked):
+class ProfileRows(NamedTuple):
     """Speed profile as rows of numbers, see `SpeedProfile`."""
 
     over_distance: bool
@@ -40,8 +46,7 @@ class ProfileRows(Checked):
     period: Annotated[float, number(1.0e-3, math.inf, "m")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedScenario(Checked):
+class RecordedScenario(NamedTuple):
     """Scenario as `scenario_content` writes it."""
 
     name: str
@@ -74,32 +79,22 @@ def read_document(text: str, where: str) -> tuple[dict[str, Any], int]:
         ValueError: Source, key and value.
     """
     content = parse(text, where)
-    for key, kind in (("version", str), ("number", int)):
-        if key not in content:
-            raise ValueError(f"{where}: missing key {key!r}")
-        if type(content[key]) is not kind:
-            what = "text" if kind is str else "a whole number"
-            raise ValueError(f"{where}: {key} = {content[key]!r} must be {what}")
-    del content["version"]
-    return content, content.pop("number")
+    header = {key: content.pop(key) for key in DocumentHeader._fields if key in content}
+    return content, build(DocumentHeader, header, where).number
 
 
 def scenario_content(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as YAML values."""
-    (over_distance, at, speed, period), (x, y) = scenario.speed, scenario.points.T
+    over_distance, at, speed, period = scenario.speed
+    rows = ProfileRows(bool(over_distance), row_text(at), row_text(speed), float(period))
     return {
         "name": scenario.name,
-        "points": {"x": row_text(x), "y": row_text(y)},
-        "speed": {
-            "over_distance": bool(over_distance),
-            "at": row_text(at),
-            "speed": row_text(speed),
-            "period": float(period),
-        },
+        "points": dict(zip("xy", map(row_text, scenario.points.T), strict=True)),
+        "speed": rows._asdict(),
         "duration": float(scenario.duration),
         "wind": [asdict(piece) for piece in scenario.wind],
         "lanes": [
-            {key: float(at) for key, at in lane._asdict().items()} for lane in scenario.lanes
+            dict(zip(Lane._fields, map(float, lane), strict=True)) for lane in scenario.lanes
         ],
         "start_offset": float(scenario.start_offset),
     }
@@ -116,29 +111,16 @@ def read_scenario(content: Any, where: str, key: str = "") -> Scenario:
     Raises:
         ValueError: Source, key, value and bound.
     """
-    rows = build(RecordedScenario, content, where, key)
+    recorded = build(RecordedScenario, content, where, key)
     try:
-        x, y = read_row(rows.points.x, "points.x"), read_row(rows.points.y, "points.y")
-        at, speed = read_row(rows.speed.at, "speed.at"), read_row(rows.speed.speed, "speed.speed")
-        for name, row, other in (("points.x", x, y), ("speed.at", at, speed)):
-            if len(row) != len(other):
-                raise ValueError(f"{name} has {len(row)} numbers, its other row {len(other)}")
-        if len(x) < 2:
-            raise ValueError(f"points.x has {len(x)} numbers, must have at least 2")
-        profile = check_profile(
-            SpeedProfile(rows.speed.over_distance, at, speed, rows.speed.period)
-        )
+        x, y = read_rows(recorded.points._asdict(), "points", least=2)
+        at, speed = read_rows({k: getattr(recorded.speed, k) for k in ("at", "speed")}, "speed")
+        profile = SpeedProfile(recorded.speed.over_distance, at, speed, recorded.speed.period)
+        check_profile(profile)
     except ValueError as error:
         raise ValueError(f"{where}: {dotted(key, str(error))}") from error
-    return Scenario(
-        name=rows.name,
-        points=np.column_stack((x, y)),
-        speed=profile,
-        duration=rows.duration,
-        wind=rows.wind,
-        lanes=rows.lanes,
-        start_offset=rows.start_offset,
-    )
+    values = {**recorded._asdict(), "points": np.column_stack((x, y)), "speed": profile}
+    return Scenario(**values)
 
 
 def row_text(row: Array) -> str:
@@ -146,20 +128,24 @@ def row_text(row: Array) -> str:
     return " ".join(map(repr, row.tolist()))
 
 
-def read_row(text: str, key: str) -> Array:
-    """Read a row of finite numbers.
+def read_rows(texts: Mapping[str, str], key: str, least: int = 1) -> list[Array]:
+    """Read rows of finite numbers, equally long.
 
     Raises:
         ValueError: Key, value and bound.
     """
-    words = text.split()
-    if not 1 <= len(words) <= LONGEST_ROW:
-        raise ValueError(f"{key} has {len(words)} numbers, must have 1 to {LONGEST_ROW}")
-    try:
-        row = np.array([float(word) for word in words])
-    except ValueError as error:
-        raise ValueError(f"{key}: {error}") from error
-    if not np.isfinite(row).all():
-        i = int(np.argmin(np.isfinite(row)))
-        raise ValueError(f"{key}[{i}] = {row[i]} must be finite")
-    return row
+    rows: list[Array] = []
+    for name, text in texts.items():
+        at, words = f"{key}.{name}", text.split()
+        if not least <= len(words) <= LONGEST_ROW:
+            raise ValueError(f"{at} has {len(words)} numbers, must have {least} to {LONGEST_ROW}")
+        try:
+            rows.append(np.array([float(word) for word in words]))
+        except ValueError as error:
+            raise ValueError(f"{at}: {error}") from error
+        if not np.isfinite(rows[-1]).all():
+            i = int(np.argmin(np.isfinite(rows[-1])))
+            raise ValueError(f"{at}[{i}] = {rows[-1][i]} must be finite")
+        if len(rows[-1]) != len(rows[0]):
+            raise ValueError(f"{at} has {len(words)} numbers, the row before it {len(rows[0])}")
+    return rows

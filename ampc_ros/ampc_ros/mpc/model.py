@@ -5,6 +5,7 @@ steering with lag. Without a lag the fifth state is unused.
 """
 
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.parameters import MIN_SPEED as MIN_SPEED
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.small_matrices import Scratch, matrix
 
@@ -13,8 +14,6 @@ Vehicle = tuple[float, float, float, float, float, float]
 
 V_Y, YAW, YAW_RATE, Y, DELTA = range(5)
 STATES = 5
-MIN_SPEED = 1.0
-"""Smallest speed of the model, which divides by the speed [m/s]."""
 TAYLOR_TERMS = 13
 
 

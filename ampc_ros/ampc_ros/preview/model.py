@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from ampc_msgs_config import parameters
 from ampc_msgs_config.compiled import in_place, inlined
+from ampc_msgs_config.parameters import MIN_SPEED
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import (
-    MIN_SPEED,
     STATES,
     V_Y,
     YAW_RATE,
@@ -119,6 +119,8 @@ def side_acceleration(
 
 understeer_gradient = in_place(parameters.understeer_gradient)
 """`parameters.understeer_gradient`, compiled."""
+cornering_angle = in_place(parameters.cornering_angle)
+"""`parameters.cornering_angle`, compiled."""
 
 
 @in_place
@@ -150,7 +152,5 @@ def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float)
 @in_place
 def angle_bound(vehicle: Vehicle, v_x: float, u_max: float, a_y_max: float) -> float:
     """Return the angle bound that the tyre sets: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
-    v = max(v_x, MIN_SPEED)
     L = vehicle[2] + vehicle[3]
-    tyre = a_y_max * (L / v**2 + max(understeer_gradient(vehicle), 0.0))
-    return min(u_max, tyre)
+    return min(u_max, cornering_angle(L, understeer_gradient(vehicle), v_x, a_y_max))

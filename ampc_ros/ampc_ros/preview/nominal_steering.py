@@ -3,15 +3,13 @@
 from typing import NamedTuple
 
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.parameters import FRICTION_SHARE
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import InternalModel
 from ampc_ros.mpc.model import Vehicle
 from ampc_ros.mpc.small_matrices import Scratch, vector
 from ampc_ros.preview.model import angle_bound, road_steering
 
-FRICTION_SHARE = 1.3
-"""Bound of the angle: that of a linear tyre at this multiple of the friction limit. The curve of a
-real tyre flattens and reaches its peak at about this multiple of the linear angle."""
 NOMINAL_SHARE = 0.7
 """Share of the largest increment that the angles without correction use. The rest is left to the
 feedback in both directions, at every step."""

@@ -8,10 +8,9 @@ import math
 from dataclasses import astuple
 
 from ampc_msgs_config.frames import at_distance
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_msgs_config.paths.path import Path, Progress, curvature_between, errors_at, point_at
 from ampc_msgs_config.types import VehicleState
-from ampc_ros.mpc.model import MIN_SPEED
 from ampc_ros.preview.model import road_steering
 
 FREQUENCY = 0.8

@@ -26,14 +26,14 @@ from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import STEP_NS
-from sim_vehicle.configuration import Configuration, to_yaml
+from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_PERIOD = 0.02
 """Period of the states in real-time mode [s]."""
-SILENCE = 0.5
+MAX_SILENCE = 0.5
 """Age from which a command is reported as missing, in real-time mode [s]."""
 RESEND = 0.2
 """Wall time after which an unanswered state is published again [s]."""
@@ -68,14 +68,14 @@ class SimulatorNode(BaseNode):
         name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
         self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
 
-    def _load_configuration(self) -> Configuration:
+    def _load_configuration(self) -> SimulatorConfiguration:
         """Declare the parameters of scenario and car, and load the files that they name."""
         scenario = declare_scenario(self)
         vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
         friction = declare(self, "friction", -1.0, "mu of the road; -1: that of the tyres", (-1, 3))
         name = declare(self, "noise", "", "measurement noise: shipped name or YAML file")
         seed = declare(self, "seed", 0, "seed of the noise", (0, 2**31 - 1))
-        return Configuration(
+        return SimulatorConfiguration(
             vehicle,
             scenario,
             friction=None if friction < 0 else friction,
@@ -89,7 +89,7 @@ class SimulatorNode(BaseNode):
         self.wind = self.create_publisher(Vector3Stamped, ros.WIND, ros.RELIABLE)
         self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
-        self.configurations.publish(String(data=to_yaml(self.config)))
+        self.configurations.publish(String(data=simulator_text(self.config)))
         if self.lock_step:
             self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
         self.peers = [
@@ -236,7 +236,7 @@ class SimulatorNode(BaseNode):
             topic: (self.now_ns - answer.stamp_ns) / NANOSECONDS
             for topic, answer in self.answers.items()
         }
-        old = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > SILENCE]
+        old = [f"no {topic} for {age:.1f} s" for topic, age in silent.items() if age > MAX_SILENCE]
         return f"{' and '.join(old)}: the car continues with the last one" if old else ""
 
 

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import at_distance
-from ampc_msgs_config.metrics import METRICS, Drive, errors, ticks
+from ampc_msgs_config.metrics import METRICS, Drive, DriveRecord, errors, ticks
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path_file import SpeedLimits, from_csv
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
@@ -19,7 +19,7 @@ from ampc_ros.configuration import default_table
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
-from launch_scripts.run.simulated import SimulatedDrive, record_of_simulated
+from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
@@ -180,6 +180,20 @@ class Quantity(NamedTuple):
     label: str
     measure: Callable[[SimulatedDrive], float] | None = None
     """None: the quantity is computed from several drives."""
+
+
+def record_of_simulated(driven: SimulatedDrive) -> DriveRecord:
+    """Return the input of the metrics, without heading errors and Y - Y_ref(X)."""
+    time, states = ticks(driven.drive), driven.drive.states
+    return DriveRecord(
+        time,
+        float(time[1]),
+        driven.error,
+        speed=np.array([state.v_x for state in states]),
+        yaw_rate=np.array([state.yaw_rate for state in states]),
+        steering=driven.drive.steering,
+        solve_time=driven.drive.solve_time,
+    )
 
 
 def metric(key: str) -> Callable[[SimulatedDrive], float]:

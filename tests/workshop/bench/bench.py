@@ -23,6 +23,8 @@ PARTS = {
 """Module and function that returns the tables of a part."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that linear algebra libraries read when they are loaded."""
+PAGE = Path(__file__).resolve().parents[3] / "ampc_ros" / "doc" / "benchmarks.md"
+"""Page of the documentation with the marks between which the thresholds stand."""
 WIDTH = 160
 """Minimum width of the printed tables [characters]."""
 
@@ -33,7 +35,13 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("runs/bench"), help="folder")
     parser.add_argument("--only", nargs="+", default=list(PARTS), choices=PARTS, help="parts")
     parser.add_argument("--quick", action="store_true", help="smoke test: meaningless numbers")
-    parser.add_argument("--readme", type=Path, help="Markdown file that receives the thresholds")
+    parser.add_argument(
+        "--page",
+        type=Path,
+        nargs="?",
+        const=PAGE,
+        help="also write the thresholds into this page (without a value: doc/benchmarks.md)",
+    )
     parser.add_argument("--read", type=Path, nargs="+", help="bench.json of earlier runs")
     return parser.parse_args(arguments)
 
@@ -64,8 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = load("bench_thresholds").threshold_table(sections)
     for section in thresholds:
         report.show(section, console)
-        if chosen.readme:
-            report.put_into(chosen.readme, machine, section)
+        if chosen.page:
+            report.put_into(chosen.page, machine, section)
     report.write(chosen.output, machine, thresholds + sections)
     if set(figure.DRAWN) <= {section.key for section in sections}:
         figure.draw(sections, chosen.output / "bench.png")

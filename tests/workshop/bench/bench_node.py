@@ -23,8 +23,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from ampc_ros.configuration import Choices
-from launch_scripts.run.environment import ros_environment
-from launch_scripts.run.processes import Processes
+from launch_scripts.run.processes import Processes, ros_environment
 from tests.workshop.bench.bench_report import Row, Section, show
 
 CHOICES = {

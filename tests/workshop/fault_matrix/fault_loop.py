@@ -14,10 +14,11 @@ from ampc_msgs_config.frames import as_received, at_distance
 from ampc_msgs_config.paths.path import Progress
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
+from ampc_msgs_config.topics import MAP
 from ampc_msgs_config.types import NANOSECONDS, QUATERNION_LENGTH, Array, TickRecord, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
-from launch_scripts.faults.messages import MAP, ODOM, PATH, STEERING, Message
+from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
 from launch_scripts.faults.schedule import Injector
 from sim_vehicle.closed_loop import Simulation
 

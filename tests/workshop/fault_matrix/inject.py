@@ -18,9 +18,8 @@ from rich.text import Text
 
 from ampc_msgs_config.validation import check_range
 from ampc_ros.configuration import CONTROLLERS
-from launch_scripts.compare import naming
 from launch_scripts.faults.schedule import SEED
-from launch_scripts.run.options import create_folder
+from launch_scripts.run.options import create_folder, naming
 from tests.workshop.acceptance.trials import DATA
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT, SCENARIOS, Case, load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course

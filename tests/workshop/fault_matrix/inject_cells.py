@@ -13,7 +13,7 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import NANOSECONDS, OPTIMAL, REASONS, RUNGS
 from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
-from launch_scripts.faults.schedule import Fault, Injector, Plan
+from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import Vehicle, load_vehicle
 from tests.workshop.fault_matrix.fault_loop import ODOM_NS, FaultyDrive, Log
@@ -114,7 +114,7 @@ class Bench:
         return FaultyDrive(
             Simulation(self.vehicle, scenario),
             Supervisor(self.config),
-            Injector(Plan(faults, self.conditions.seed)),
+            Injector(FaultSchedule(faults, self.conditions.seed)),
             obey=self.conditions.obey,
         )
 

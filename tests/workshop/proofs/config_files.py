@@ -19,17 +19,17 @@ from ampc_msgs_config.config import dump, schema
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.scenarios.scenario import ScenarioFile
 from ampc_msgs_config.validation import (
-    bounds_text,
     defaults,
     dotted,
     hints,
     is_record,
+    number_bounds,
     tag_of,
     unwrap,
 )
 from ampc_ros.mpc.gain_table import GainTableFile
-from launch_scripts.faults.schedule import Plan
-from launch_scripts.reporting.summary import Thresholds
+from launch_scripts.faults.schedule import FaultSchedule
+from launch_scripts.reporting.drive import Thresholds
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -64,7 +64,7 @@ KINDS = (
     _kind("guard", GuardLimits, "guards"),
     _kind("scenario", ScenarioFile, "scenarios"),
     _kind("noise", MeasurementNoise, "noise"),
-    _kind("faults", Plan, "faults"),
+    _kind("faults", FaultSchedule, "faults"),
     Kind("thresholds", Thresholds, THRESHOLDS, THRESHOLDS / "thresholds.schema.json"),
 )
 HEAD = """# Parameters of the configuration files
@@ -82,7 +82,7 @@ class Row(NamedTuple):
     key: str
     type: str
     unit: str
-    bounds: str
+    number_bounds: str
     default: str
     meaning: str
 
@@ -116,12 +116,13 @@ def _rows(kind: Any, key: str, default: Any) -> list[Row]:
     extra = (meta.extra if meta else None) or {}
     shape, leaf, leaf_meta = _leaf(inner, meta)
     extra = {**((leaf_meta.extra if leaf_meta else None) or {}), **extra}
-    bounds = ", ".join(extra.get("options", ()))
+    limits = ", ".join(extra.get("options", ()))
     if leaf_meta and leaf in (int, float):
-        bounds = bounds_text(leaf_meta).partition("]")[0] + "]"
+        low, high = number_bounds(leaf_meta)
+        limits = f"[{low:g}, {high:g}]"
     text = "required" if default is MISSING else _value(default)
     what = f"{shape}{TYPE_NAMES.get(leaf, 'mapping')}"
-    return [Row(key, what, extra.get("unit", ""), bounds, text, extra.get("meaning", ""))]
+    return [Row(key, what, extra.get("unit", ""), limits, text, extra.get("meaning", ""))]
 
 
 def _value(default: Any) -> str:
@@ -160,7 +161,7 @@ def _table(kind: Kind) -> Iterable[str]:
     for row in parameter_rows(kind.content):
         key = f"`{row.key}`"
         default = f"`{row.default}`" if row.default not in ("", "required") else row.default
-        cells = (key, row.type, row.unit, row.bounds, default, row.meaning)
+        cells = (key, row.type, row.unit, row.number_bounds, default, row.meaning)
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""
 

@@ -24,7 +24,7 @@ from rosbags.highlevel import AnyReader
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.bags.recovery import recover
-from launch_scripts.run.environment import ros_environment
+from launch_scripts.run.processes import ros_environment
 from tests.bag_samples import read
 from tests.waiting import wait_for
 from tests.workshop.proofs.killed_recorder import (
