@@ -10,10 +10,12 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc import active_set as exact_solver
 from ampc_ros.mpc import constraints, hildreth, laguerre, model, prediction
 from ampc_ros.mpc.active_set import active_set_numbers
+from ampc_ros.mpc.descent import descend, feasible_start, relaxed_rows
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES, Vehicle
-from ampc_ros.mpc.qp import SOLVED, Qp
-from ampc_ros.mpc.small_matrices import Scratch, make_scratch
+from ampc_ros.mpc.qp import INFEASIBLE, SOLVED, Qp, nearest_point
+from ampc_ros.mpc.small_matrices import Scratch, backward, make_scratch, vector
+from ampc_ros.mpc.working_set import no_active_rows
 from ampc_ros.preview import model as preview_model
 from ampc_ros.preview.model import SampledModel
 
@@ -134,6 +136,29 @@ def active_set(qp: Qp) -> QpSolution:
     memory = solver_memory(*qp.M.shape)
     iterations, status = solve_in(tuple(qp), memory)
     return QpSolution(memory[0], memory[1], iterations, status)
+
+
+@in_place
+def descend_in(qp: tuple[Array, ...], x: Array, numbers: Array, used: NDArray[np.int64]) -> int:
+    """Solve a QP that x = 0 satisfies with `descent` alone; return the status."""
+    problem, scratch = Qp(*qp), Scratch(numbers, used)
+    n = len(x)
+    task = nearest_point(problem, scratch)
+    active, w = no_active_rows(len(problem.low), n, scratch), vector(scratch, n)
+    unit = relaxed_rows(problem, task, scratch)
+    if not feasible_start(problem, task, unit, w):
+        return INFEASIBLE
+    _, status = descend(problem, task, unit, active, w, vector(scratch, n))
+    backward(task.C, w, n, x)
+    return int(status)
+
+
+def descent_solution(qp: Qp) -> tuple[Array, int]:
+    """Return the solution of the primal method and its status."""
+    m, n = qp.M.shape
+    x = np.zeros(n)
+    status = descend_in(tuple(qp), x, *make_scratch(active_set_numbers(m, n)))
+    return x, status
 
 
 def hildreth_solution(qp: Qp, sweeps: int, tolerance: float) -> QpSolution:

@@ -1,0 +1,124 @@
+"""Nominal steering of the horizon: the road's angle, limited so that feedback keeps authority."""
+
+from typing import NamedTuple
+
+from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.parameters import FRICTION_SHARE
+from ampc_msgs_config.types import Array
+from ampc_ros.mpc.internal_model import InternalModel
+from ampc_ros.mpc.model import Vehicle
+from ampc_ros.mpc.small_matrices import Scratch, vector
+from ampc_ros.preview.model import angle_bound, road_steering
+
+NOMINAL_SHARE = 0.7
+"""Share of the largest increment that the angles without correction use. The rest is left to the
+feedback in both directions, at every step."""
+SWEEPS = 40
+"""Sweeps of `limit_rate`."""
+OVER_RELAXATION = 1.7
+"""Factor of its steps. A chain of 20 increments that exceed the limit converges to 1e-6 of it."""
+
+
+class Road(NamedTuple):
+    """Speed and curvature along the prediction horizon; entry 0 lies one tick back."""
+
+    speed: Array
+    """(H + 1,) [m/s]."""
+    curvature: Array
+    """(H + 1,) mean over each step [1/m]."""
+    behind: Array
+    """(H,) mean over the steps before entry 0, the latest first [1/m]."""
+
+
+@in_place
+def nominal_steering(
+    model: InternalModel, road: Road, u: float, nominal: Array, bounds: Array, scratch: Scratch
+) -> None:
+    """Fill the angles without correction: the angle in force plus the changes of the path's angle.
+
+    Where the path demands more than `NOMINAL_SHARE` of the largest increment, its angle is replaced
+    by the nearest sequence that does not, see `limit_rate`. The sequence respects angle bounds and
+    the share. If the angle in force exceeds its bound, it returns at the share. The sequence is
+    therefore feasible by construction and leaves the rest of the increment to the correction.
+
+    Args:
+        model: Vehicle and limits.
+        road: Speed and curvature along the horizon.
+        u: Angle in force [rad].
+        nominal: Receives the angles (H,) [rad].
+        bounds: Receives the bound of the angle at each step (H,) [rad].
+        scratch: Auxiliary memory.
+    """
+    begin, vehicle, limits = scratch.used[0], model.vehicle, model.limits
+    step, a_y_max = NOMINAL_SHARE * limits.Delta_u_max, FRICTION_SHARE * limits.mu_g
+    now, angles = len(road.behind), vector(scratch, len(road.behind) + len(road.speed))
+    demanded_angles(vehicle, road, limits.T, angles)
+    limit_rate(angles, step, vector(scratch, len(angles)))
+    before, offset = u, u - angles[now]
+    for i in range(len(bounds)):
+        bound = angle_bound(vehicle, road.speed[i + 1], limits.u_max, a_y_max)
+        wanted = min(max(offset + angles[now + i + 1], -bound), bound)
+        before = min(max(wanted, before - step), before + step)
+        nominal[i], bounds[i] = before, bound
+    scratch.used[0] = begin
+
+
+@in_place
+def demanded_angles(vehicle: Vehicle, road: Road, T: float, angles: Array) -> None:
+    """Fill the angles that keep the car on the path, from the road behind to the horizon's end.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        road: Speed and curvature; the road behind is taken at the speed of entry 0.
+        T: Step [s].
+        angles: Receives the angles (2 H + 1,); entry H is entry 0 of the road [rad].
+    """
+    now, behind = len(road.behind), road.behind
+    for j in range(now):
+        after = behind[j - 1] if j > 0 else road.curvature[0]
+        change = (after - behind[min(j + 1, now - 1)]) / ((2.0 if j + 1 < now else 1.0) * T)
+        angles[now - 1 - j] = road_steering(vehicle, road.speed[0], behind[j], change)
+    for i in range(len(road.speed)):
+        angles[now + i] = road_angle(vehicle, road, i, T)
+
+
+@in_place
+def limit_rate(angles: Array, step: float, pressure: Array) -> None:
+    """Replace angles by the nearest sequence in least squares whose increments are within +-step.
+
+    Angles whose increments are within the bound are not changed. Elsewhere the sequence starts
+    before the demand and ends after it: each correction adds to one angle what it takes from its
+    neighbour, so the sum of the angles, and with it the change of heading, is preserved.
+
+    Note:
+        Hildreth's procedure on the increments, with over-relaxation (Cryer, 1971). Angles still
+        exceed the bound by the remaining error; the caller limits the increments from step to step.
+
+    Args:
+        angles: Changed in place (n,) [rad].
+        step: Largest increment [rad].
+        pressure: Multipliers of the increments, zeros before (n,) [rad].
+    """
+    for _ in range(SWEEPS):
+        largest = 0.0
+        for i in range(len(angles) - 1):
+            increment = angles[i + 1] - angles[i]
+            # Positive: increment at its upper bound, negative: at its lower bound
+            upper = pressure[i] + OVER_RELAXATION * (increment - step) / 2.0
+            lower = pressure[i] + OVER_RELAXATION * (increment + step) / 2.0
+            change = max(upper, 0.0) + min(lower, 0.0) - pressure[i]
+            if change != 0.0:
+                pressure[i] += change
+                angles[i] += change
+                angles[i + 1] -= change
+                largest = max(largest, abs(change))
+        if largest <= 1e-9:
+            return
+
+
+@in_place
+def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
+    """Return the angle that keeps the car on the path at entry i of the horizon [rad]."""
+    before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
+    change = (road.curvature[after] - road.curvature[before]) / ((after - before) * T)
+    return road_steering(vehicle, road.speed[i], road.curvature[i], change)
