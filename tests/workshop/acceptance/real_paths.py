@@ -54,6 +54,8 @@ WINDOW, WINDOW_STARTS = 60.0, (-5.0, 3.0)
 """Length of a rolling window, and its start ahead of the car [m]."""
 RUN_IN, STATIC_TIME, WINDOW_TIME = 30.0, 120.0, 30.0
 """Distance beyond the seam of a lap [m]; longest drives on static paths and windows [s]."""
+SEAM = 0.5
+"""Distance from the last to the first point of a lap with mixed spacing [m]."""
 RUN_OUT = 25.0
 """Distance from the end of an open road at which a drive on a static path ends [m]."""
 RESENT, SHIFT = (0.1, 0.2, 0.5, 1.0), 0.05
@@ -184,8 +186,10 @@ def drive_static(block: Block, disturbance: Disturbance, number: int) -> tuple[R
     """Drive on a path that is sent once; return the drive and the points (n, 2) [m]."""
     true, rng = block.true_road, block.rng(number)
     length = true.path.length
-    exact = true.curve(places(0.0, length, block.spacing, block.rng()))
-    points = disturbance.applied(exact, rng)
+    along = places(0.0, length, block.spacing, block.rng())
+    if true.path.closed and block.spacing == MIXED:  # its ends meet
+        along = np.append(along[along < length - SEAM], length - SEAM)
+    points = disturbance.applied(true.curve(along), rng)
     end = length + RUN_IN if true.path.closed else length - RUN_OUT
     return drive(true, block.setup, once(points), end, STATIC_TIME), points
 
