@@ -3,9 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path as File
-from typing import NamedTuple
-
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
-from ampc_msgs_config.types import ERROR, NANOSECONDS, OPTIMAL, WARN, Array, VehicleState
+from ampc_msgs_config.types import ERROR, NANOSECONDS, OPTIMAL, WARN, VehicleState
 from ampc_ros.configuration import CONTROLLERS, Configuration, from_yaml, to_yaml
 from ampc_ros.supervision.fallback import NO_REASON, OFF_PATH, PATH_ENDS, PATH_LOST
 from ampc_ros.supervision.health import health, health_numbers

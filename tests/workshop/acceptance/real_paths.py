@@ -21,7 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ampc_msgs_config.types import Array
 from ampc_ros.supervision.supervisor import Supervisor
-from launch_scripts.reporting.markdown import markdown_table
+from launch_scripts.reporting.pages import markdown_table
 from tests.workshop.acceptance.real_drives import (
     LONGITUDINAL,
     PERIOD,

@@ -166,8 +166,8 @@ def with_slack(rng: np.random.Generator, qp: Qp) -> Qp:
 
 def unit_problem(qp: Qp) -> Unit:
     """Transform a QP to the nearest-point problem of the checks."""
-    C = np.linalg.cholesky(qp.E)
-    start = -solve_triangular(C, qp.K, lower=True)
+    C = np.asarray(np.linalg.cholesky(qp.E), dtype=np.float64)
+    start: Array = np.asarray(-solve_triangular(C, qp.K, lower=True), dtype=np.float64)
     scale = float(np.linalg.norm(start)) or 1.0
     rows = solve_triangular(C, qp.M.T, lower=True).T if len(qp.M) else np.zeros((0, len(C)))
     lengths = np.linalg.norm(rows, axis=1)
