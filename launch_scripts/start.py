@@ -54,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, interrupt)
     try:
         run = prepare_run(options)
+        if run.scenario.note:
+            console.print(f"{options.path}: {run.scenario.note}", markup=False, highlight=False)
         return finish(run, drive_run(run, console), console)
     except (ValueError, RunEnded) as error:
         print_error(console, error)

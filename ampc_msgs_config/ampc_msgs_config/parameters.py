@@ -113,12 +113,21 @@ class ControllerSettings(Checked):
     path_lost: Annotated[
         float, number(0.0, 3600.0, "s", "Age of the path that requests a stop.")
     ] = 2.0
+    path_noise: Annotated[
+        float,
+        number(-1.0, 10.0, "m", "Noise of the path's points; 0: none; -1: estimated from them."),
+    ] = -1.0
     look_ahead_time: Annotated[float, number(0.0, 10.0, "s", "Pure pursuit: look-ahead time.")] = (
         0.6
     )
     min_look_ahead: Annotated[float, number(0.1, 100.0, "m", "Pure pursuit: least look-ahead.")] = (
         4.0
     )
+
+    @property
+    def known_path_noise(self) -> float | None:
+        """Standard deviation of the points of a path [m]; None: estimated from them."""
+        return self.path_noise if self.path_noise >= 0.0 else None
 
 
 @dataclass(frozen=True, kw_only=True)

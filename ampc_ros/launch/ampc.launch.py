@@ -40,6 +40,7 @@ ARGUMENTS = {
         "largest one along the CSV's path [m/s2]; -1: speed of the CSV",
     ),
     "laps": ("1", "number of laps of a CSV's closed path"),
+    "columns": ("", "columns of the CSV, such as x=3,y=4; empty: by its header"),
     "vehicle": ("paper", file_or("vehicles")),
     "controller": ("preview", "preview, paper, classic, pure_pursuit, or FILE.py:CLASS"),
     "settings": ("table3", f"limits and solver: {file_or('controllers')}"),
@@ -68,7 +69,7 @@ FLOATS = (
 SWITCHES = ("lock_step", "static_path")
 TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkeys(SWITCHES, bool)
 
-ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps")
+ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
 CONTROL = (
     "vehicle",

@@ -56,6 +56,8 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     add("--scenario", "sc1", "scenario to drive", "scenarios")
     add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
     add_speed_options(parser)
+    text = "columns of the CSV file by number or name, such as x=3,y=4; default: by its header"
+    add("--columns", "", text)
     add("--vehicle", default.vehicle, "the car", "vehicles")
     add("--controller", default.controller, f"{names}; steers the car")
     add("--settings", default.settings, "limits of the controller", "controllers")

@@ -117,7 +117,7 @@ def path_of(roads: Roads, k: int) -> Path:
     a, b = roads.first_sample[k], roads.first_sample[k + 1]
     x, y, heading = roads.samples[0, a:b], roads.samples[1, a:b], roads.samples[2, a:b]
     curvature, closed = roads.samples[3, a:b], roads.shape[k, 1] > 0.0
-    return Path(roads.shape[k, 0], x, y, heading, curvature, closed)
+    return Path(roads.shape[k, 0], x, y, heading, curvature, closed, 0.0)
 
 
 @inlined

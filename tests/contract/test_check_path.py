@@ -109,9 +109,12 @@ def test_points_that_jitter_by_5_centimetres_can_be_driven_and_a_right_angle_can
     points = circle(50.0)[::2]
     jitter = 0.05 * np.random.default_rng(1).standard_normal(points.shape)
     path = check_path(points + jitter, CHASSIS, MAX_ANGLE)
-    assert np.abs(path.curvature).max() > 2 * SHARPEST
+    assert path.noise == pytest.approx(0.05, rel=0.2)
+    assert path.curvature == pytest.approx(1 / 50.0, abs=0.005)
+    rough = make_path(points + jitter, path_noise=0.0)
+    assert np.abs(rough.curvature).max() > 2 * SHARPEST
     corner = [*((x, 0.0) for x in range(21)), *((20.0, y) for y in range(1, 21))]
-    with pytest.raises(ValueError, match=r"path: curvature after 17.* m = 0\.[3-7]"):
+    with pytest.raises(ValueError, match=r"path: curvature after 1[78].* m = 0\.[3-7]"):
         check_path(corner, CHASSIS, MAX_ANGLE)
 
 

@@ -18,7 +18,7 @@ from ampc_msgs_config.paths.path import (
     point_at,
     project,
 )
-from ampc_msgs_config.paths.path_fitting import MAX_LENGTH, make_path
+from ampc_msgs_config.paths.path_fitting import MAX_ARC, MAX_LENGTH, extended_back, make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, rotate, set_point
 from ampc_msgs_config.types import Array, VehicleState
 
@@ -172,6 +172,38 @@ def test_path_goes_on_straight_at_both_ends(beyond: float, side: float) -> None:
         assert point.y == pytest.approx(last.y + (s - end) * math.sin(last.heading), abs=1e-9)
         assert (point.heading, point.curvature) == pytest.approx((last.heading, 0.0))
         assert project(path, point.x, point.y, 0, len(path.x)) == pytest.approx(s, abs=1e-6)
+
+
+@both_sides
+@pytest.mark.parametrize("length", [0.1, 3.0, 10.0])
+def test_path_is_extended_backwards_along_its_first_arc(length: float, side: float) -> None:
+    radius = side * 30.0
+    path = make_path(arc(radius, 1.0))
+    longer = extended_back(path, length)
+    added = len(longer.x) - len(path.x)
+    assert length <= added * path.spacing < length + path.spacing
+    assert longer.spacing == path.spacing
+    for one, other in zip(longer[1:5], path[1:5], strict=True):
+        np.testing.assert_array_equal(one[added:], other)
+    s = path.spacing * np.arange(-added, 0)
+    np.testing.assert_allclose(longer.x[:added], radius * np.sin(s / radius), atol=0.02)
+    np.testing.assert_allclose(longer.y[:added], radius * (1 - np.cos(s / radius)), atol=0.02)
+    np.testing.assert_allclose(longer.heading[:added], s / radius, atol=0.01)
+    np.testing.assert_allclose(longer.curvature[:added], 1 / radius, rtol=0.02)
+
+
+def test_arc_behind_a_sharp_start_turns_by_one_radian_at_most() -> None:
+    path = make_path(arc(3.0, 3.0))
+    longer = extended_back(path, 50.0)
+    assert longer.heading[0] == pytest.approx(path.heading[0] - MAX_ARC, abs=0.1)
+    assert longer.curvature[0] == 0.0
+    gaps = np.hypot(np.diff(longer.x), np.diff(longer.y))
+    np.testing.assert_allclose(gaps, path.spacing, rtol=5e-3)
+
+
+def test_closed_path_is_not_extended() -> None:
+    path = make_path(arc(40.0, math.tau, 121)[:-1])
+    assert extended_back(path, 10.0) is path
 
 
 def test_arc_length_read_off_points_comes_back_from_them() -> None:

@@ -8,9 +8,8 @@ import pytest
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
+from ampc_msgs_config.paths.csv_columns import MAX_BYTES, MAX_POINTS, tangent_plane
 from ampc_msgs_config.paths.path_file import (
-    MAX_BYTES,
-    MAX_POINTS,
     Route,
     SpeedLimits,
     choose_scenario,
@@ -85,12 +84,17 @@ def test_car_starts_along_the_path_though_its_first_points_are_the_same(tmp_path
 BAD = {
     "there is no such": (None, "cannot be read"),
     "empty": ("", r"header \[\] must name x_m and y_m"),
-    "no header": (STRAIGHT, r"header \['0', '0'\] must name x_m and y_m"),
+    "no header, four columns": ("0,0,0,0\n1,0,0,0\n", r"no header and 4 columns must name x_m"),
+    "name twice": ("x_m,y_m,x_m\n0,0,0\n1,0,0\n", r"header .* names 'x_m' twice"),
+    "two names for x": ("x_m,y_m,easting\n0,0,0\n", r"names x more than once, 'x_m' and 'easting'"),
+    "extra fields": ("x_m,y_m\n0,0\n1,5,0,5\n", r"line 3: 4 fields under 2 columns, header"),
+    "latitude": ("lat,lon\n95,8\n95,8.1\n", r"lat = 95 must lie in \[-90, 90\] deg"),
+    "far apart": ("lat,lon\n48,8\n49,8\n", r"points are 111\d+ m from the first one"),
+    "thousands": ("x_m;y_m\n1.234,5;1\n", r"line 2: '1.234,5' must be a number"),
     "half a header": ("x_m,z_m\n1,2\n", r"header \['x_m', 'z_m'\] must name x_m and y_m"),
     "words": ("x_m,y_m\n0,0\n1,left\n", r"line 3: 'left' must be a number"),
     "words after blank lines": ("x_m,y_m\n\n0,0\n\n1,left\n", r"line 5: 'left' must be a number"),
     "short line": ("x_m,y_m\n0,0\n1\n", r"line 3: '' must be a number"),
-    "comma as point": ("x_m;y_m\n0,5;1\n", r"header \['x_m;y_m'\] must name"),
     "nan": ("x_m,y_m\n0,0\nnan,0\n", r"line 3: 'nan' must be finite"),
     "inf": ("x_m,y_m,v_mps\n0,0,1\n1,0,inf\n", r"line 3: 'inf' must be finite"),
     "no lines": ("x_m,y_m,v_mps\n", r"0 different points, at least 2"),
@@ -104,6 +108,126 @@ BAD = {
     "many bytes": ("x_m,y_m\n" + " " * MAX_BYTES, r"\d+ bytes are more than"),
     "huge field": ("x_m,y_m\n" + "1" * 200_000 + ",0\n", r"cannot be read: field larger"),
 }
+
+
+FORMATS = {
+    "semicolon": "x_m;y_m\n0;0\n10;0\n20.5;0\n30;0\n",
+    "semicolon and decimal comma": "x_m;y_m\n0,0;0,0\n10;0\n20,5;0,0\n30;0\n",
+    "tab": "x_m\ty_m\n0\t0\n10\t0\n20.5\t0\n30\t0\n",
+    "tab and decimal comma": "x_m\ty_m\n0,0\t0\n10,0\t0,0\n20,5\t0\n30\t0\n",
+    "spaces": "x  y\n 0 0\n 10   0\n20.5 0\n30 0\n",
+    "spaces and decimal comma": "x y\n0,0 0,0\n10,0 0,0\n20,5 0,0\n30,0 0,0\n",
+    "comments": "# a survey\nx_m,y_m\n0,0\n# half-way\n10,0\n20.5,0\n30,0\n",
+    "upper case": "X_M , Y_M\n0,0\n10,0\n20.5,0\n30,0\n",
+    "survey": "id,Easting,Northing,code\n1,0,0,a\n2,10,0,b\n3,20.5,0,\n4,30,0,c\n",
+    "no header": "0,0\n10,0\n20.5,0\n30,0\n",
+    "no header, spaces": "0 0\n10 0\n20.5 0\n30 0\n",
+    "trailing separator": "x_m,y_m,\n0,0,\n10,0,\n20.5,0,\n30,0,\n",
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_separator_decimal_sign_and_header_are_inferred(name: str, tmp_path: Path) -> None:
+    scenario = from_csv(csv_file(tmp_path, FORMATS[name]), speed=5.0)
+    np.testing.assert_array_equal(scenario.points, [[0, 0], [10, 0], [20.5, 0], [30, 0]])
+    separator = next((word for word in ("semicolon", "tab", "space") if word in name), "comma")
+    assert f"4 points, separator {separator}; x = " in scenario.note
+    assert "[m]" in scenario.note
+    assert "open: it has 4 points" in scenario.note
+
+
+def test_note_names_the_columns_that_are_not_used(tmp_path: Path) -> None:
+    scenario = from_csv(csv_file(tmp_path, "x_m,y_m,v_kmh\n0,0,9\n10,0,9\n"), speed=5.0)
+    assert "; not used: v_kmh;" in scenario.note
+
+
+def test_raceline_of_tum_is_read_with_its_speed(tmp_path: Path) -> None:
+    text = "# 2f5b\n# 9d1c\n# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2\n"
+    text += "".join(f"{s}.0; {s}.0; 1.0; -1.57; 0.0; 12.5; 0.0\n" for s in range(0, 50, 5))
+    scenario = from_csv(csv_file(tmp_path, text))
+    assert scenario.points[2].tolist() == [10.0, 1.0]
+    assert speeds(scenario, 20.0) == [12.5]
+
+
+@pytest.mark.parametrize(
+    ("latitude", "per_latitude", "per_longitude"),
+    [(0.0, 110_574.3, 111_319.5), (30.0, 110_852.4, 96_486.3), (45.0, 111_131.8, 78_846.8)],
+)
+def test_tangent_plane_meets_the_published_lengths_of_a_degree(
+    latitude: float, per_latitude: float, per_longitude: float
+) -> None:
+    """Lengths of a degree on WGS 84 [m]: Wikipedia, Geographic coordinate system."""
+    lat = np.array([latitude, latitude + 0.001, latitude])
+    east, north = tangent_plane(lat, np.array([179.9, 179.9, 179.901]))
+    assert 1000 * north[1] == pytest.approx(per_latitude, rel=2e-5)
+    assert 1000 * east[2] == pytest.approx(per_longitude, rel=2e-5)
+    assert (east[0], north[0], east[1]) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_latitude_and_longitude_are_converted(tmp_path: Path) -> None:
+    text = "time_s,lat,lon\n0,48.0,8.0\n2,48.0001,8.0\n4,48.0002,8.0\n"
+    scenario = from_csv(csv_file(tmp_path, text))
+    assert scenario.points[:, 1] == pytest.approx([0.0, 11.119, 22.238], abs=0.001)
+    assert speeds(scenario, 10.0) == pytest.approx([5.56], abs=0.01)
+    assert "converted to the tangent plane (WGS 84)" in scenario.note
+
+
+@pytest.mark.parametrize("columns", ["x=3,y=4", "x=east,y=4,v=2", " y = north , x = East "])
+def test_columns_are_selected_by_number_or_name(columns: str, tmp_path: Path) -> None:
+    text = "n,v,east,north\n1,5,0,7\n2,5,10,7\n3,5,20,7\n"
+    scenario = from_csv(csv_file(tmp_path, text), speed=5.0, columns=columns)
+    assert scenario.points.tolist() == [[0, 7], [10, 7], [20, 7]]
+    without_header = text.partition("\n")[2]
+    scenario = from_csv(csv_file(tmp_path, without_header), speed=5.0, columns="x=3,y=4")
+    assert scenario.points.tolist() == [[0, 7], [10, 7], [20, 7]]
+
+
+@pytest.mark.parametrize(
+    ("columns", "complaint"),
+    [
+        ("x=9,y=1", "'9' is neither one of .* nor 1 to 3"),
+        ("x=0,y=1", "'0' is neither"),
+        ("x=1", "must select x and y"),
+        ("x=1,x=2,y=3", "'x=2' must be one of x, y, v, t, lat, lon, once"),
+        ("z=1,y=2", "'z=1' must be one of"),
+        ("x,y", "'x' must be one of"),
+    ],
+)
+def test_bad_selection_is_rejected(columns: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"road.csv: columns .*{complaint}"):
+        from_csv(csv_file(tmp_path, "a,b,c\n0,0,0\n1,1,1\n"), 5.0, columns=columns)
+
+
+def test_times_that_decrease_are_rejected_even_if_a_speed_is_selected(tmp_path: Path) -> None:
+    file = csv_file(tmp_path, "t_s,x_m,y_m\n0,0,0\n2,1,0\n1,2,0\n")
+    with pytest.raises(ValueError, match=r"line 4: t_s = 1 must be greater than 2"):
+        from_csv(file, speed=5.0)
+
+
+def test_laps_on_an_open_path_are_rejected_with_the_reason(tmp_path: Path) -> None:
+    file = csv_file(tmp_path, "x_m,y_m\n" + "".join(f"{x},0\n" for x in range(40)))
+    route = Route(path=str(file), speed=5.0, laps=3)
+    with pytest.raises(
+        ValueError, match=r"laps = 3, but the path is open: its ends are 39 m apart"
+    ):
+        choose_scenario(route, SIZE)
+    assert choose_scenario(route._replace(laps=1), SIZE).name == "road"
+
+
+@with_data
+@pytest.mark.parametrize("circuit", ["Oschersleben", "Norisring"])
+@pytest.mark.parametrize("grid", [0.01, 0.05])
+def test_rounding_a_circuit_does_not_change_its_lap_time(
+    circuit: str, grid: float, tmp_path: Path
+) -> None:
+    file = DATA / "tracks" / f"{circuit}.csv"
+    clean = from_csv(file, limits=SpeedLimits(4.0))
+    path = clean.path
+    points = np.column_stack((path.x, path.y))[:-1:4]
+    text = "".join(f"{x},{y}\n" for x, y in (np.round(points / grid) * grid).tolist())
+    rounded = from_csv(csv_file(tmp_path, "x_m,y_m\n" + text), limits=SpeedLimits(4.0))
+    assert rounded.path.closed
+    assert rounded.duration == pytest.approx(clean.duration, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", BAD)

@@ -29,5 +29,9 @@ def declare_scenario(node: Node) -> Scenario:
             (-1, 20),
         ),
         declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
+        declare(node, "columns", default.columns, "of the CSV, such as x=3,y=4; empty: by header"),
     )
-    return choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
+    scenario = choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
+    if scenario.note:
+        node.get_logger().info(f"{route.path}: {scenario.note}")
+    return scenario

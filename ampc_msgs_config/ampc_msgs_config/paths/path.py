@@ -32,6 +32,8 @@ class Path(NamedTuple):
     """(n,) curvature, positive to the left [1/m]."""
     closed: bool
     """Whether the end joins the start; then the last sample equals the first one."""
+    noise: float
+    """Noise of the points from which the path was made: standard deviation [m]."""
 
     @property
     def length(self) -> float:

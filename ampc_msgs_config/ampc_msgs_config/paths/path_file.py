@@ -1,16 +1,15 @@
 """Drives from a user's path in a CSV file, and the choice between file and scenario."""
 
-import csv
 import math
 from pathlib import Path as File
 from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import read_text
 from ampc_msgs_config.parameters import SizeParameters
+from ampc_msgs_config.paths.csv_columns import read_path_table
 from ampc_msgs_config.paths.path import Path
-from ampc_msgs_config.paths.path_fitting import cached_path
+from ampc_msgs_config.paths.path_fitting import CLEAN, cached_path, closure
 from ampc_msgs_config.scenarios.scenario import (
     Scenario,
     SpeedProfile,
@@ -18,9 +17,6 @@ from ampc_msgs_config.scenarios.scenario import (
     load_scenario,
 )
 from ampc_msgs_config.types import Array
-
-MAX_BYTES, MAX_POINTS = 50_000_000, 500_000
-"""Greatest size [bytes] and number of points of a CSV file."""
 
 
 class Route(NamedTuple):
@@ -36,6 +32,8 @@ class Route(NamedTuple):
     """Largest lateral acceleration along the CSV file's path, which limits the speed [m/s^2]."""
     laps: int = 1
     """Laps on a closed path of a CSV file."""
+    columns: str = ""
+    """Columns of the CSV file, such as x=3,y=4; empty: by its header."""
 
 
 def choose_scenario(route: Route, size: SizeParameters) -> Scenario:
@@ -48,7 +46,12 @@ def choose_scenario(route: Route, size: SizeParameters) -> Scenario:
     if not route.path:
         return load_scenario(route.scenario, size, speed)
     a_y = route.lateral_acceleration
-    return from_csv(File(route.path), speed, SpeedLimits(a_y) if a_y > 0 else None, route.laps)
+    limits = SpeedLimits(a_y) if a_y > 0 else None
+    scenario = from_csv(File(route.path), speed, limits, route.laps, route.columns)
+    if route.laps > 1 and not scenario.path.closed:
+        reason = closure(scenario.points).reason
+        raise ValueError(f"{route.path}: laps = {route.laps}, but the path is open: {reason}")
+    return scenario
 
 
 class SpeedLimits(NamedTuple):
@@ -67,23 +70,25 @@ def from_csv(
     speed: float | None = None,
     limits: SpeedLimits | None = None,
     laps: int = 1,
+    columns: str = "",
 ) -> Scenario:
-    """Build a scenario from a path file: `x_m,y_m[,v_mps]` or `t_s,x_m,y_m`, by its header.
+    """Build a scenario from a path file: `x_m,y_m[,v_mps]`, `t_s,x_m,y_m`, or another header.
 
     Args:
-        file: CSV with a header; `x_east_m,y_north_m` are accepted, too; other columns are ignored.
+        file: Text file, see `read_path_table`; `Scenario.note` states what was inferred.
         speed: Constant speed instead of the file's [m/s].
         limits: Limits of the speed; they define the speed where the file has none.
         laps: Number of laps on a closed path.
+        columns: Selection of columns, such as x=3,y=4; empty: by the header.
 
     Raises:
         ValueError: File, line and value; or the file has no speed and none is selected.
     """
-    columns = _columns(file)
-    points = np.column_stack((columns["x"], columns["y"]))
+    numbers, note = read_path_table(file, columns)
+    points = np.column_stack((numbers["x"], numbers["y"]))
     try:
         path = cached_path(points)
-        values = _speed_along(path, points, columns, speed, limits)
+        values = _speed_along(path, points, numbers, speed, limits)
         at = np.asarray(path.spacing * np.arange(len(values)))
         period = path.length if path.closed else math.inf
         profile = check_profile(SpeedProfile(True, at, values, period))
@@ -91,7 +96,9 @@ def from_csv(
         raise ValueError(f"{file}: {error}") from error
     lap_time = float(np.sum(path.spacing / np.maximum(_middle(values), 0.5)))
     duration = lap_time * (laps if path.closed else 1)
-    return Scenario(file.stem, points, profile, duration=math.floor(duration * 10) / 10)
+    shape = f"{'closed' if path.closed else 'open'}: {closure(points).reason}"
+    note = f"{len(points)} points, {note}; {shape}; path noise {100 * path.noise:.1f} cm"
+    return Scenario(file.stem, points, profile, math.floor(duration * 10) / 10, note=note)
 
 
 def _middle(values: Array) -> Array:
@@ -121,6 +128,8 @@ def _speed_along(
 
 def _file_speed(path: Path, points: Array, columns: dict[str, Array]) -> Array:
     distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    if path.noise > CLEAN and not path.closed:  # noise makes the way from point to point longer
+        distance *= path.length / distance[-1]
     moving = np.concatenate(([True], np.diff(distance) > 0))
     if "v" in columns:
         values = columns["v"][moving]
@@ -156,35 +165,3 @@ def limited(values: Array, path: Path, limits: SpeedLimits) -> Array:
         for i in range(len(speed) - 1, 0, -1):
             speed[i - 1] = min(speed[i - 1], math.sqrt(speed[i] ** 2 + gain))
     return np.asarray(speed)
-
-
-HEADERS = {"x_m": "x", "y_m": "y", "x_east_m": "x", "y_north_m": "y", "v_mps": "v", "t_s": "t"}
-
-
-def _columns(file: File) -> dict[str, Array]:
-    try:
-        rows = list(csv.reader(read_text(file, MAX_BYTES).splitlines()))
-    except csv.Error as error:
-        raise ValueError(f"{file}: cannot be read: {error}") from error
-    if len(rows) - 1 > MAX_POINTS:
-        raise ValueError(f"{file}: {len(rows) - 1} points are more than {MAX_POINTS}")
-    names = [name.strip(" #") for name in rows[0]] if rows else []
-    present = {HEADERS[name]: i for i, name in enumerate(names) if name in HEADERS}
-    if not {"x", "y"} <= set(present):
-        raise ValueError(f"{file}: header {names} must name x_m and y_m")
-    return {key: _column(file, rows, i) for key, i in present.items()}
-
-
-def _column(file: File, rows: list[list[str]], i: int) -> Array:
-    values = []
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        text = row[i] if i < len(row) else ""
-        try:
-            values.append(float(text))
-        except ValueError:
-            raise ValueError(f"{file}: line {line}: {text!r} must be a number") from None
-        if not math.isfinite(values[-1]):
-            raise ValueError(f"{file}: line {line}: {text!r} must be finite")
-    return np.array(values)

@@ -64,6 +64,8 @@ class Scenario(NamedTuple):
     lanes: tuple[Lane, ...] = ()
     start_offset: float = 0.0
     """Start to the left of the path's first point [m]."""
+    note: str = ""
+    """What was inferred from a path file, in one line."""
 
     @property
     def path(self) -> Path:

@@ -131,7 +131,11 @@ class StateFilter:
 
 
 def check_path(
-    points: ArrayLike, chassis: ChassisParameters, max_angle: float, max_gap: float = MAX_GAP
+    points: ArrayLike,
+    chassis: ChassisParameters,
+    max_angle: float,
+    max_gap: float = MAX_GAP,
+    path_noise: float | None = None,
 ) -> Path:
     """Return the path through points if this car can drive it.
 
@@ -140,16 +144,17 @@ def check_path(
         chassis: Parameters of the car.
         max_angle: Largest steering angle [rad].
         max_gap: Largest gap between points, if there are more than two [m].
+        path_noise: Standard deviation of the points [m]; None: estimated from them.
 
     Raises:
         ValueError: An error of `make_path`, a gap, or a bend; with position, value and bound.
 
     Note:
-        The curvature is averaged over a wheelbase: points with 5 cm of noise, as planners may
-        publish them, cause curvatures of 0.5 1/m, of which a quarter affects the car.
+        The curvature is averaged over a wheelbase: what remains of the noise of the points in the
+        curvature affects the car only as that mean.
     """
     check_gaps(np.asarray(points, dtype=float), max_gap)
-    path = make_path(points)
+    path = make_path(points, path_noise)
     most = math.tan(max_angle) / chassis.wheelbase
     bend = mean_curvature(path, chassis.wheelbase)
     sharpest = int(np.argmax(np.abs(bend)))

@@ -222,7 +222,8 @@ class Supervisor:
         if self._path and self._points is not None and np.array_equal(points, self._points):
             self._path = Received(self._path.value, stamp_ns, now_ns)
             return
-        path = check_path(points, self.config.chassis, self.config.max_angle)
+        noise = self.config.settings.known_path_noise
+        path = check_path(points, self.config.chassis, self.config.max_angle, path_noise=noise)
         self.follow(path, stamp_ns, now_ns)
         self._points = points
 
