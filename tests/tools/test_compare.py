@@ -298,3 +298,25 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_driven(
 )
 def test_numbers_have_three_digits(value: float, shown: str) -> None:
     assert three_digits(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [("raise RuntimeError('boom')", "boom"), ("return float('nan')", "not finite"), ("pass", "")],
+)
+def test_controller_that_fails_ends_its_drive_with_the_reason(
+    body: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    lines = [
+        "class Mine:",
+        "    period = 0.1",
+        "    def step(self, state, path):",
+        f"        {body}",
+    ]
+    file.write_text("\n".join(lines) + "\n")
+    words = ["--controllers", "pure_pursuit", f"{file}:Mine", "--scenarios", "sc1"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    output = capsys.readouterr().out
+    assert "gave up" in output or "refused" in output
+    assert text in output
