@@ -22,7 +22,7 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 TIE = 0.005
 """Relative difference below which two numbers count as equal; three digits are displayed."""
-QUANTITIES = {
+COMPARED_METRICS = {
     "rms": "rms_error_m",
     "p95": "p95_error_m",
     "max": "max_error_m",
@@ -161,7 +161,7 @@ def drive_cell(contender: Contender, scenario: Scenario, conditions: Conditions)
     finished, vehicle = steered._replace(states=simulation.states), simulation.vehicle
     time, path = ticks(finished), scenario.path
     record = record_of(finished, path, vehicle.chassis.cg_to_rear_axle, float(time[1]))
-    measures = measure(QUANTITIES.values(), record)
+    measures = measure(COMPARED_METRICS.values(), record)
     numbers = {key: math.nan if value is None else value for key, value in measures.items()}
     gone = ~(np.abs(record.error) <= LOST)
     lost_after = float(time[np.argmax(gone)]) if gone.any() else math.nan
