@@ -16,8 +16,8 @@ DOMAINS = 100
 """ROS domains 1 to 100 are available to tests."""
 candidates = count(os.getpid())
 
-# Hypothesis draws constants of the modules that a process has loaded. Without this line, the examples
-# of a derandomised test would depend on the tests that ran before in the same worker.
+# Hypothesis draws constants of the modules that a process has loaded. Without this line, the
+# examples of a derandomised test would depend on the earlier tests of the same worker.
 providers.is_local_module_file = lambda _: False  # type: ignore[assignment, attr-defined]
 
 
