@@ -56,6 +56,8 @@ smoothing; the smoothest curve that is about as likely then wins.
 """
 FEWEST = 20
 """Least number of points from which noise is estimated."""
+MOST_ESTIMATED_NOISE = 0.4
+"""Larger estimated noise [m] is a defect of the path: its points are then checked as they are."""
 SHORT = 5.0
 """Length of a path below which it is not smoothed [m]."""
 LAP_OVERLAP = 200.0
@@ -266,6 +268,8 @@ def smoothed(points: Array, noise: float | None, closed: bool) -> Smoothed | Non
         except np.linalg.LinAlgError:  # nearly all points lie in the same places
             return result
         result = found._replace(length=length)
+        if noise is None and found.noise > MOST_ESTIMATED_NOISE:
+            return None
         if ROUGH * found.noise <= chord:
             break
         chord = ROUGH * found.noise
