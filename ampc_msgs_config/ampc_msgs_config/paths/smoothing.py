@@ -252,7 +252,7 @@ def smoothed(points: Array, noise: float | None, closed: bool) -> Smoothed | Non
 
     Returns:
         The smoothing spline from parameter 0 to the place of the last point; None if the points
-        are too few or too close together.
+        are too few or too close together, or their estimated noise exceeds MOST_ESTIMATED_NOISE.
     """
     if len(points) < (FEWEST if noise is None else NULL_SPACE + 1):
         return None
@@ -260,19 +260,19 @@ def smoothed(points: Array, noise: float | None, closed: bool) -> Smoothed | Non
     chord = CHORD if noise is None else max(CHORD, ROUGH * noise)
     for _ in range(2):
         if len(_chain(points, chord)) <= SHORT / CHORD:
-            return result
+            break
         places = chord_parameter(points, chord, closed=closed)
         length = float(places[-1])
         try:
             found = smooth(*(_overlapped(places, points) if closed else (places, points)), noise)
         except np.linalg.LinAlgError:  # nearly all points lie in the same places
-            return result
+            break
         result = found._replace(length=length)
-        if noise is None and found.noise > MOST_ESTIMATED_NOISE:
-            return None
         if ROUGH * found.noise <= chord:
             break
         chord = ROUGH * found.noise
+    if noise is None and result is not None and result.noise > MOST_ESTIMATED_NOISE:
+        return None
     return result
 
 

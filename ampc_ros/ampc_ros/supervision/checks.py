@@ -35,9 +35,9 @@ class StateCheck(NamedTuple):
     """Result of the check of a state."""
 
     accepted: bool
-    """Whether it is the newest valid state now."""
+    """True: the state is now the newest valid one."""
     reset: bool = False
-    """Whether it starts a new track: earlier states are no longer valid."""
+    """True: earlier states are no longer valid, and this one starts a new history."""
     cause: str = ""
     """Cause of the rejection or of the new track, one of CAUSES."""
     reason: str = ""
