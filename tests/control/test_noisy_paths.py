@@ -1,6 +1,7 @@
 """Paths whose points are noisy or rounded, driven in closed loop against the true road."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,14 @@ def road(kind: str, spacing: float) -> Array:
     return np.column_stack((c * x - k * y, k * x + c * y))
 
 
-def largest_error(kind: str, car: str, spacing: float, change: str, window: bool = False) -> float:
+def largest_error(
+    kind: str,
+    car: str,
+    spacing: float,
+    change: str,
+    window: bool = False,
+    path_noise: float = -1.0,
+) -> float:
     """Return the largest error of the centre of gravity from the true road at 9 m/s [m].
 
     Args:
@@ -42,9 +50,11 @@ def largest_error(kind: str, car: str, spacing: float, change: str, window: bool
         spacing: Distance of the points [m].
         change: `noise X` or `grid X`, X in m.
         window: Send a new window with new noise at each tick, not the whole road once.
+        path_noise: Setting of the controller [m].
     """
     rng, (how, size) = np.random.default_rng(7), change.split()
     config = configuration(Choices(vehicle=car, static_path=True))
+    config = config._replace(settings=replace(config.settings, path_noise=path_noise))
     supervisor, true = Supervisor(config), make_path(road(kind, 0.5))
     progress, points, worst, s = Progress(true), road(kind, spacing), 0.0, 0.0
     start = float(true.x[0]), float(true.y[0]), float(true.heading[0])
@@ -93,3 +103,18 @@ def test_noise_of_the_points_costs_no_more_than_the_target(
 @pytest.mark.parametrize(("noise", "target"), [("noise 0.02", 0.15), ("noise 0.05", 0.30)])
 def test_window_with_new_noise_each_tick_is_followed(noise: str, target: float, car: str) -> None:
     assert largest_error("weave", car, 1.0, noise, window=True) < target
+
+
+@pytest.mark.parametrize(
+    ("kind", "spacing", "noise", "target"),
+    [("weave", 5.0, 0.02, 0.15), ("bend", 3.0, 0.02, 0.15), ("straight", 1.0, 0.5, 0.5)],
+)
+def test_stated_noise_is_followed(kind: str, spacing: float, noise: float, target: float) -> None:
+    change = f"noise {noise:g}"
+    assert largest_error(kind, "ordinary", spacing, change, path_noise=noise) < target
+
+
+def test_noise_stated_as_zero_is_not_smoothed() -> None:
+    change = "noise 0.02"
+    rough = largest_error("straight", "ordinary", 0.25, change, path_noise=0.0)
+    assert rough > 2.0 * largest_error("straight", "ordinary", 0.25, change)
