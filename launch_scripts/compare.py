@@ -25,7 +25,7 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.validation import check_range, number
 from ampc_ros.configuration import CONTROLLERS, DEFAULT_TABLES, check_controller, default_table
 from launch_scripts.comparing.cells import (
-    QUANTITIES,
+    COMPARED_METRICS,
     Conditions,
     Contender,
     build_simulation,
@@ -50,7 +50,11 @@ TABLE_WIDTH = 120
 """Smallest width of the printed table [characters]."""
 WRONG = 2
 """Exit code for an invalid option."""
-BOUNDS = {"laps": number(1, 1000), "seed": number(0, 2**31 - 1), "friction": CAR_RANGES["friction"]}
+OPTION_BOUNDS = {
+    "laps": number(1, 1000),
+    "seed": number(0, 2**31 - 1),
+    "friction": CAR_RANGES["friction"],
+}
 
 
 def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -80,7 +84,7 @@ def read_compare_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("noise", "measurement noise, such as x1; default: none")
     add("seed", "seed of the noise, equal in all cells; default: 0", type=int)
     text = "metric of table and heat map; the page shows all"
-    add("quantity", text, choices=QUANTITIES, default="rms")
+    add("quantity", text, choices=COMPARED_METRICS, default="rms")
     add("output", "folder", type=Path, default=Path("runs/compare"))
     add_format_option(parser, "table, figures, or figures on the pages of one file")
     return parser.parse_args(arguments)
@@ -106,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cells = [drive_cell(*pair, conditions) for pair in bar.track(pairs, description="drives")]
     command = f"python launch_scripts/compare.py {words}".strip()
     comparison = Comparison(command, conditions, contenders, scenarios, cells)
-    key = QUANTITIES[options.quantity]
+    key = COMPARED_METRICS[options.quantity]
     console.width = max(console.width, TABLE_WIDTH)
     console.print(comparison_table(comparison, key))
     files = write_comparison(comparison, key, options.output, options.format)
@@ -123,7 +127,7 @@ def conditions_of(options: argparse.Namespace) -> Conditions:
     check_files(options)
     with naming("delay"):
         SteeringParameters(max_angle=1.0, delay=options.delay)
-    for name, bounds in BOUNDS.items():
+    for name, bounds in OPTION_BOUNDS.items():
         if getattr(options, name) is not None:
             check_range(f"--{name}", getattr(options, name), bounds)
     return Conditions(*(getattr(options, field) for field in Conditions._fields))

@@ -1,5 +1,6 @@
 """Compile controllers and simulated car in advance, so that the first run need not wait."""
 
+import argparse
 import sys
 import time
 
@@ -14,6 +15,7 @@ from sim_vehicle.parameters import load_vehicle
 
 def main() -> int:
     """Drive a moment with every controller; the machine code is stored in the user's cache."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     begin = time.monotonic()
     vehicle = load_vehicle(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)

@@ -7,6 +7,7 @@ from itertools import count
 
 import pytest
 from domain_coordinator import domain_id
+from hypothesis.internal.conjecture import providers
 
 from launch_scripts.run.processes import ros_environment
 from tests.markers import markers_of
@@ -14,6 +15,10 @@ from tests.markers import markers_of
 DOMAINS = 100
 """ROS domains 1 to 100 are available to tests."""
 candidates = count(os.getpid())
+
+# Hypothesis draws constants of the modules that a process has loaded. Without this line, the
+# examples of a derandomised test would depend on the earlier tests of the same worker.
+providers.is_local_module_file = lambda _: False  # type: ignore[assignment, attr-defined]
 
 
 def next_domain() -> int:

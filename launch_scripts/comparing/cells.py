@@ -9,8 +9,9 @@ import numpy as np
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import LOST, measure, record_of, ticks
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Plan, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.controller_interface import Controller
@@ -21,7 +22,7 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 
 TIE = 0.005
 """Relative difference below which two numbers count as equal; three digits are displayed."""
-QUANTITIES = {
+COMPARED_METRICS = {
     "rms": "rms_error_m",
     "p95": "p95_error_m",
     "max": "max_error_m",
@@ -105,6 +106,25 @@ class TrueStateSimulation(Simulation):
         super().advance(steering, target_speed, period_ns)
 
 
+class EndsAtFailure:
+    """Controller that ends the drive where a user's class fails; others pass unchanged."""
+
+    def __init__(self, inner: Controller) -> None:
+        """Wrap a controller."""
+        self.inner, self.period = inner, inner.period
+
+    def step(self, state: VehicleState, path: Path) -> Plan:
+        """Return the plan of the controller.
+
+        Raises:
+            ValueError: The class of a user raised an error, or returned no finite angle.
+        """
+        plan = self.inner.step(state, path)
+        if self.inner.failure:
+            raise ValueError(self.inner.failure)
+        return plan
+
+
 def controller_of(contender: Contender, conditions: Conditions) -> Controller:
     """Build a controller with a model of the car as its file describes it.
 
@@ -134,14 +154,14 @@ def drive_cell(contender: Contender, scenario: Scenario, conditions: Conditions)
     controller = controller_of(contender, conditions)
     simulation = build_simulation(conditions, scenario)
     try:
-        steered = drive(simulation, controller)
+        steered = drive(simulation, EndsAtFailure(controller))
     except ValueError as error:
         driven_for = len(simulation.states) * controller.period
         return Cell(contender.label, scenario.name, {}, str(error), driven_for)
     finished, vehicle = steered._replace(states=simulation.states), simulation.vehicle
     time, path = ticks(finished), scenario.path
     record = record_of(finished, path, vehicle.chassis.cg_to_rear_axle, float(time[1]))
-    measures = measure(QUANTITIES.values(), record)
+    measures = measure(COMPARED_METRICS.values(), record)
     numbers = {key: math.nan if value is None else value for key, value in measures.items()}
     gone = ~(np.abs(record.error) <= LOST)
     lost_after = float(time[np.argmax(gone)]) if gone.any() else math.nan

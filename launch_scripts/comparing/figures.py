@@ -19,7 +19,7 @@ FINEST = 1.0e-4
 """Smallest error on a logarithmic axis [m]."""
 WINDOW = 1.0
 """Duration over which the largest error is taken there [s]."""
-STRETCHED, MAP, FURTHER_ROWS = 1.8, 3.4, (1.6, 1.6, 1.4)
+STRETCHED, MAP_PANEL, FURTHER_ROWS = 1.8, 3.4, (1.6, 1.6, 1.4)
 """Height of the path's panel: stretched, or as a map; height of the panels over time [inch]."""
 AROUND = 3.0
 """Visible distance on both sides of a path [m]."""
@@ -34,7 +34,7 @@ def colors_of(labels: Sequence[str]) -> dict[str, tuple[str, Any]]:
     return {label: CONTROLLER_STYLES.get(label) or next(spare) for label in labels}
 
 
-def draw_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, Any]]) -> Figure:
+def draw_compared_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, Any]]) -> Figure:
     """Return path, errors and steering of all controllers that drove a road (at least one)."""
     shown = {cell.contender: cell.driven for cell in cells if cell.driven is not None}
     path = next(iter(shown.values())).path
@@ -52,7 +52,7 @@ def draw_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, Any]]) -> F
         panels = driven.error, np.maximum(largest, FINEST), np.degrees(driven.drive.steering)
         curves[name] = [(points[:n, 0], points[:n, 1]), *((time[:n], v[:n]) for v in panels)]
     # Path: stretched and as far as it was driven, or a map with equal scales
-    figure, axes = stack([STRETCHED if frame else MAP, *FURTHER_ROWS])
+    figure, axes = stack([STRETCHED if frame else MAP_PANEL, *FURTHER_ROWS])
     points = np.column_stack((path.x, path.y))
     points = along_chord(frame, points) if frame else points
     axes[0].plot(*points.T, zorder=0, **REFERENCE_STYLE)

@@ -16,8 +16,8 @@ from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import LOST, METRICS
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.comparing.cells import QUANTITIES, Cell, Conditions, Contender, best_of
-from launch_scripts.comparing.figures import colors_of, draw_road
+from launch_scripts.comparing.cells import COMPARED_METRICS, Cell, Conditions, Contender, best_of
+from launch_scripts.comparing.figures import colors_of, draw_compared_road
 from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
 from launch_scripts.reporting.pages import data, markdown_table, render, terminal_table, to_json
 from launch_scripts.reporting.style import save_figures, save_png, svg
@@ -133,7 +133,7 @@ def write_comparison(
     figures = {"compare": draw_matrix(comparison, key)}
     for name, shown in comparison.rows(key):
         if any(each.cell.driven for each in shown):
-            figures[f"compare_{name}"] = draw_road([each.cell for each in shown], colors)
+            figures[f"compare_{name}"] = draw_compared_road([each.cell for each in shown], colors)
     content = to_json(comparison_json(comparison))
     texts = {
         "page.html": comparison_page(comparison, key, figures),
@@ -146,12 +146,14 @@ def write_comparison(
     files = [*texts, "compare.png"]
     if "csv" in formats:
         files.append("compare.csv")
-        heads = [f"{key} [{METRICS[key].unit}]" for key in QUANTITIES.values()]
+        heads = [f"{key} [{METRICS[key].unit}]" for key in COMPARED_METRICS.values()]
         with (folder / "compare.csv").open("w", encoding="utf-8", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(["scenario", "controller", "outcome", *heads])
             for cell in comparison.cells:
-                numbers = [cell.numbers[key] if cell.kept else "" for key in QUANTITIES.values()]
+                numbers = [
+                    cell.numbers[key] if cell.kept else "" for key in COMPARED_METRICS.values()
+                ]
                 writer.writerow([cell.scenario, cell.contender, cell.outcome, *numbers])
     return files + [file.name for file in save_figures(figures, folder / "compare", formats)]
 
@@ -180,7 +182,7 @@ def comparison_markdown(comparison: Comparison) -> str:
         "Errors are those of the true state, without measurement noise. Bold: smallest of its "
         f"scenario. Lost: cross-track error above {LOST:g} m at any time.",
     ]
-    for key in QUANTITIES.values():
+    for key in COMPARED_METRICS.values():
         rows = [
             [name, *(f"**{each.text}**" if each.is_best else each.text for each in cells)]
             for name, cells in comparison.rows(key)
@@ -224,7 +226,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 def comparison_page(comparison: Comparison, key: str, figures: Mapping[str, Figure]) -> str:
     """Return the page with the figures of `write_comparison` and the metric of the heat map."""
     tables = []
-    for each in QUANTITIES.values():
+    for each in COMPARED_METRICS.values():
         rows: list[list[str]] = []
         for name, shown in comparison.rows(each):
             rows.append([name])

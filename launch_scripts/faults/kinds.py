@@ -12,11 +12,18 @@ import numpy as np
 
 from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
-from launch_scripts.faults.messages import NODE, ODOM, PATH, STEERING, FaultState, Message
+from launch_scripts.faults.messages import (
+    NODE,
+    ODOM_INPUT,
+    PATH,
+    STEERING_INPUT,
+    FaultState,
+    Message,
+)
 
 HEADING_NOISE = 0.1
 """Standard deviation of the heading divided by that of the position [rad/m]."""
-CAR, ALL = (ODOM, STEERING), (ODOM, STEERING, PATH)
+CAR, ALL = (ODOM_INPUT, STEERING_INPUT), (ODOM_INPUT, STEERING_INPUT, PATH)
 
 
 class Amount(NamedTuple):
@@ -151,48 +158,51 @@ CLOCK_JUMP = seconds(1.0, -1.0e4, 1.0e4)
 FAULT_KINDS = {
     # messages are lost, late, doubled or repeated
     "drop": Kind(
-        (ODOM,),
+        (ODOM_INPUT,),
         lambda m, f: [] if f.rng.random() < f.amount else [m],
         Amount(1.0, 0.0, 1.0, ""),  # probability
     ),
     "silence": Kind(CAR, lambda m, f: []),
     "restart": Kind(ALL, restart, seconds(0.3)),
-    "delay": Kind((ODOM,), lambda m, f: [late(m, f.amount)], seconds(0.15)),
-    "jitter": Kind((ODOM,), in_order, seconds(0.2)),
-    "reorder": Kind((ODOM,), lambda m, f: [late(m, f.amount * f.rng.random())], seconds(0.2)),
-    "duplicate": Kind((ODOM,), lambda m, f: [m, late(m, f.amount)], seconds(0.01)),
-    "hold": Kind((ODOM,), lambda m, f: [arriving(m, max(f.window.end_ns, m.arrival_ns))]),
-    "burst": Kind((ODOM,), burst, Amount(1000, 1, 100_000, "messages")),
-    "repeat": Kind((ODOM,), lambda m, f: [arriving(f.last(m), m.arrival_ns)]),
+    "delay": Kind((ODOM_INPUT,), lambda m, f: [late(m, f.amount)], seconds(0.15)),
+    "jitter": Kind((ODOM_INPUT,), in_order, seconds(0.2)),
+    "reorder": Kind((ODOM_INPUT,), lambda m, f: [late(m, f.amount * f.rng.random())], seconds(0.2)),
+    "duplicate": Kind((ODOM_INPUT,), lambda m, f: [m, late(m, f.amount)], seconds(0.01)),
+    "hold": Kind((ODOM_INPUT,), lambda m, f: [arriving(m, max(f.window.end_ns, m.arrival_ns))]),
+    "burst": Kind((ODOM_INPUT,), burst, Amount(1000, 1, 100_000, "messages")),
+    "repeat": Kind((ODOM_INPUT,), lambda m, f: [arriving(f.last(m), m.arrival_ns)]),
     # states with wrong values
-    "freeze": Kind((ODOM,), freeze),
-    "nan": Kind((ODOM,), lambda m, f: replace_state(m, **{f.field: math.nan})),
-    "noise": Kind((ODOM,), noise, metres(0.1), sided=True),
-    "bias_position": Kind((ODOM,), lambda m, f: shift(m, f.amount), metres(0.3), sided=True),
+    "freeze": Kind((ODOM_INPUT,), freeze),
+    "nan": Kind((ODOM_INPUT,), lambda m, f: replace_state(m, **{f.field: math.nan})),
+    "noise": Kind((ODOM_INPUT,), noise, metres(0.1), sided=True),
+    "bias_position": Kind((ODOM_INPUT,), lambda m, f: shift(m, f.amount), metres(0.3), sided=True),
     "bias_heading": Kind(
-        (ODOM,),
+        (ODOM_INPUT,),
         lambda m, f: replace_state(m, yaw=wrap_angle(m.value.yaw + f.amount)),
         radians(0.05),
         sided=True,
     ),
     "bias_speed": Kind(
-        (ODOM,),
+        (ODOM_INPUT,),
         lambda m, f: replace_state(m, v_x=m.value.v_x + f.amount),
         Amount(2.0, -100.0, 100.0, "m/s"),
     ),
     "drift": Kind(  # linearly up to `amount`, then back at once
-        (ODOM,), lambda m, f: shift(m, f.amount * f.elapsed(m)), metres(1.0), sided=True
+        (ODOM_INPUT,), lambda m, f: shift(m, f.amount * f.elapsed(m)), metres(1.0), sided=True
     ),
-    "pose_jump": Kind((ODOM,), lambda m, f: shift(m, f.amount), metres(2.0), sided=True),
-    "wrong_frame": Kind((ODOM,), lambda m, f: [m._replace(frame_id="odom")]),
-    "zero_quaternion": Kind((ODOM,), lambda m, f: [m._replace(length=0.0)]),
-    "stamp_jump": Kind((ODOM,), shift_stamp, CLOCK_JUMP),
+    "pose_jump": Kind((ODOM_INPUT,), lambda m, f: shift(m, f.amount), metres(2.0), sided=True),
+    "wrong_frame": Kind((ODOM_INPUT,), lambda m, f: [m._replace(frame_id="odom")]),
+    "zero_quaternion": Kind((ODOM_INPUT,), lambda m, f: [m._replace(length=0.0)]),
+    "stamp_jump": Kind((ODOM_INPUT,), shift_stamp, CLOCK_JUMP),
     "clock_jump": Kind(ALL, shift_stamp, CLOCK_JUMP),
     # steering sensor and solver
     "bias_steering": Kind(
-        (STEERING,), lambda m, f: replace_value(m, m.value + f.amount), radians(0.05), sided=True
+        (STEERING_INPUT,),
+        lambda m, f: replace_value(m, m.value + f.amount),
+        radians(0.05),
+        sided=True,
     ),
-    "freeze_steering": Kind((STEERING,), lambda m, f: replace_value(m, f.last(m).value)),
+    "freeze_steering": Kind((STEERING_INPUT,), lambda m, f: replace_value(m, f.last(m).value)),
     "qp_fault": Kind((NODE,), None),
     # paths: moved, with a step in the middle, with every second point aside, unusable
     "path_gone": Kind((PATH,), lambda m, f: []),

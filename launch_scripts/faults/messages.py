@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from ampc_msgs_config.topics import MAP
 
-ODOM, STEERING, PATH, NODE = "odom", "steering_state", "reference_path", "controller"
+ODOM_INPUT, STEERING_INPUT, PATH, NODE = "odom", "steering_state", "reference_path", "controller"
 """Targets of a fault; the last one is the controller itself, which has no messages."""
 KEPT = 1000
 """Number of messages in the history of a topic."""

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
+from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Message
 from launch_scripts.faults.schedule import Injector, load_faults
 
 CHECK_PERIOD = 0.005
@@ -29,8 +29,8 @@ CHECK_PERIOD = 0.005
 PATH_PERIOD = 0.5
 """Period of republishing the path [s]. The planner sends it once, too rarely to fail."""
 INPUT_TYPES = {
-    ODOM: (Odometry, ros.RELIABLE),
-    STEERING: (JointState, ros.RELIABLE),
+    ODOM_INPUT: (Odometry, ros.RELIABLE),
+    STEERING_INPUT: (JointState, ros.RELIABLE),
     PATH: (PathMessage, ros.LATCHED),
 }
 """Type and QoS of the topics that faults change."""
@@ -119,7 +119,7 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
         ValueError: The message is invalid without any fault.
     """
     stamp_ns, frame_id = ros.nanoseconds(message.header.stamp), message.header.frame_id
-    if topic == ODOM:
+    if topic == ODOM_INPUT:
         return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message), frame_id)
     if topic == PATH:
         return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)), frame_id)
@@ -129,9 +129,9 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
 def pack(message: Message) -> Any:
     """Pack a message for the controller; a path may have no or a single point."""
     stamp_ns, value = message.stamp_ns, message.value
-    if message.topic == STEERING:
+    if message.topic == STEERING_INPUT:
         return ros.joint_message(stamp_ns, value, 0.0)
-    if message.topic == ODOM:
+    if message.topic == ODOM_INPUT:
         result = ros.odometry_message(value._replace(stamp_ns=stamp_ns))
         orientation = result.pose.pose.orientation
         orientation.z, orientation.w = (

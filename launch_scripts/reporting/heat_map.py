@@ -12,11 +12,11 @@ from matplotlib.ticker import FuncFormatter
 
 from launch_scripts.reporting.style import FONT, INK
 
-COLUMN, ROW = 1.15, 0.36
+COLUMN, ROW_HEIGHT = 1.15, 0.36
 """Size of a cell [inch]."""
 MARGIN = 2.4
 """Width of the row names and of the colour bar [inch]."""
-MAP = "cividis_r"
+COLOR_MAP = "cividis_r"
 """Equal for colour-blind readers; small values are light, so that grey prints keep the order."""
 LUMINANCE = (0.299, 0.587, 0.114)
 """Weights of red, green and blue."""
@@ -54,13 +54,13 @@ def draw_heat_map(
     values = np.array([[np.nan if each.hatch else each.value for each in row] for row in cells])
     positive = values[values > 0]
     low, high = (positive.min(), positive.max()) if positive.size else (1.0, 1.0)
-    size = (COLUMN * len(columns) + margin, ROW * len(rows) + 1.3)
+    size = (COLUMN * len(columns) + margin, ROW_HEIGHT * len(rows) + 1.3)
     with mpl.rc_context(FONT):
         figure = Figure(figsize=size, layout="constrained")
         ax = figure.subplots()
         x, y = np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
         norm = LogNorm(low, high if high > low else 1.01 * low, clip=True)
-        mesh = ax.pcolormesh(x, y, values, cmap=MAP, norm=norm, edgecolors="white", lw=0.5)
+        mesh = ax.pcolormesh(x, y, values, cmap=COLOR_MAP, norm=norm, edgecolors="white", lw=0.5)
         for i, row in enumerate(cells):
             for j, cell in enumerate(row):
                 corner, ink, box = (j - 0.5, i - 0.5), INK, None

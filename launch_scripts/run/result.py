@@ -46,4 +46,7 @@ def write_result(run: Run, ended: str) -> Table:
         for key in RESULT
         if math.isfinite(metrics[key])
     ]
+    for key in ("fall_backs", "unsolved_ticks"):
+        if count := drive.metrics[key]:
+            rows.append((METRICS[key].title, f"{count:.4g}", METRICS[key].unit))
     return terminal_table(("quantity", "value", "unit"), rows, "lrl", run.title)

@@ -27,7 +27,7 @@ LANE = 3.5
 """Lateral displacement of the lane change [m]."""
 PEAK = 10.0 / math.sqrt(3.0)
 """Largest second derivative of q."""
-ACCELERATION = 2.5
+LANE_CHANGE_ACCELERATION = 2.5
 """Largest lateral acceleration of the lane change [m/s^2]."""
 CURVATURE = 0.1
 """Largest curvature of the lane change; at walking speed the steering angle limits it [1/m]."""
@@ -89,7 +89,7 @@ minimise the mean squared error of a single nominal drive."""
 
 def lane_change(v: float) -> Scenario:
     """Return a lane change with an initial offset and a final gust, at a speed [m/s]."""
-    length = math.sqrt(LANE * PEAK / min(ACCELERATION / v**2, CURVATURE))
+    length = math.sqrt(LANE * PEAK / min(LANE_CHANGE_ACCELERATION / v**2, CURVATURE))
     x = np.arange(0.0, v * LANE_CHANGE_DURATION + run_out(v), POINT_SPACING)
     points = np.column_stack((x, LANE * q((x - LANE_CHANGE_START * v) / length)))
     scenario = Scenario("lane change", points, constant_speed(v), LANE_CHANGE_DURATION, (GUST,))
@@ -146,7 +146,15 @@ def simulated_car(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulat
 
 DEFINITION = repr(
     (
-        (PLANTS, SMALL_STEP, STEP_DURATION, LANE, ACCELERATION, CURVATURE, LANE_CHANGE_START),
+        (
+            PLANTS,
+            SMALL_STEP,
+            STEP_DURATION,
+            LANE,
+            LANE_CHANGE_ACCELERATION,
+            CURVATURE,
+            LANE_CHANGE_START,
+        ),
         (LANE_CHANGE_DURATION, SMALL_OFFSET, LARGE_OFFSET, GUST, JOIN_DURATION, SETTLING_DEADLINE),
     )
 )

@@ -28,7 +28,7 @@ from launch_scripts.tuning.drives import (
     simulated_car,
     step_to,
 )
-from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, STEERING
+from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, LOG_STEERING
 from launch_scripts.tuning.fleet_rows import (
     Entry,
     FleetRun,
@@ -127,7 +127,7 @@ def repeat_for_gain_sets(fleet_run: FleetRun, rows: Array) -> FleetRun:
 
 def fitness_of_log(node: Node, log: Array) -> Array:
     """Return the fitness (n,) of a log (n, cars, ticks, LOGGED); infinite if a car failed."""
-    error, steering = log[..., CROSS_TRACK_ERROR], log[..., STEERING]
+    error, steering = log[..., CROSS_TRACK_ERROR], log[..., LOG_STEERING]
     failed = (~(log[..., CONVERGED] > 0.0)).any(axis=(1, 2))
     if node.kind == "paper":
         cost = np.mean(error**2, axis=(1, 2))

@@ -29,7 +29,7 @@ from sim_vehicle.vehicle_row import unpack_vehicle
 
 Integers = NDArray[np.int64]
 
-CROSS_TRACK_ERROR, STEERING, CONVERGED, STATE, LOGGED = 0, 1, 2, 3, 9
+CROSS_TRACK_ERROR, LOG_STEERING, CONVERGED, LOG_STATE, LOGGED = 0, 1, 2, 3, 9
 """Positions in a row (LOGGED,) of the log: cross-track error, command, whether the QP was solved,
 and x, y, yaw, v_x, v_y and yaw rate as measured at `base_link`."""
 
@@ -152,9 +152,13 @@ def measured_state(fleet: Fleet, c: int, tick: int, stamp_ns: int) -> VehicleSta
 def write_log(log: Array, state: VehicleState, result: TickResult) -> None:
     """Fill one row of the log (LOGGED,)."""
     log[CROSS_TRACK_ERROR] = result.diagnosis.cross_track_error
-    log[STEERING], log[CONVERGED] = result.steering, result.diagnosis.converged
-    log[STATE], log[STATE + 1], log[STATE + 2] = state.x, state.y, state.yaw
-    log[STATE + 3], log[STATE + 4], log[STATE + 5] = state.v_x, state.v_y, state.yaw_rate
+    log[LOG_STEERING], log[CONVERGED] = result.steering, result.diagnosis.converged
+    log[LOG_STATE], log[LOG_STATE + 1], log[LOG_STATE + 2] = state.x, state.y, state.yaw
+    log[LOG_STATE + 3], log[LOG_STATE + 4], log[LOG_STATE + 5] = (
+        state.v_x,
+        state.v_y,
+        state.yaw_rate,
+    )
 
 
 @in_place
@@ -164,14 +168,14 @@ def drive_period(
     """Drive car c for one period with its driver and the command in its row of the log."""
     k, steps = fleet.road[c], context.period_ns // context.step_ns
     path, profile, elapsed = path_of(roads, k), profile_of(roads, k), tick * context.period_ns
-    x, y, yaw = log[STATE], log[STATE + 1], log[STATE + 2]
+    x, y, yaw = log[LOG_STATE], log[LOG_STATE + 1], log[LOG_STATE + 2]
     speed, context.places[c] = preview_speed(
         profile, path, context.places[c], elapsed / NANOSECONDS, x, y, yaw
     )
     drive_steps(
         fleet.state[c],
         fleet.waiting[c, : fleet.delay[c]],
-        log[STEERING] + fleet.misalignment[c],
+        log[LOG_STEERING] + fleet.misalignment[c],
         speed,
         roads.wind,
         roads.first_wind[k] + tick * steps,

@@ -20,9 +20,9 @@ from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.fleet import (
+    LOG_STATE,
+    LOG_STEERING,
     LOGGED,
-    STATE,
-    STEERING,
     Fleet,
     FleetContext,
     Integers,
@@ -220,9 +220,9 @@ def run_part(fleet_run: FleetRun, rows: slice, log: Array) -> None:
 
 def drive_of_log(log: Array, period_ns: int, start_ns: int = NANOSECONDS) -> Drive:
     """Return the drive in the log (most ticks, LOGGED) of one car."""
-    driven = log[~np.isnan(log[:, STATE])]
+    driven = log[~np.isnan(log[:, LOG_STATE])]
     states = [
         VehicleState(start_ns + tick * period_ns, *row)
-        for tick, row in enumerate(driven[:, STATE:].tolist())
+        for tick, row in enumerate(driven[:, LOG_STATE:].tolist())
     ]
-    return Drive(states, driven[:, STEERING].copy(), np.zeros(0))
+    return Drive(states, driven[:, LOG_STEERING].copy(), np.zeros(0))

@@ -20,7 +20,7 @@ from launch_scripts.tuning.search import SearchResult
 from launch_scripts.tuning.task import (
     RANDOM,
     SINGLE,
-    TABLE,
+    TABLE_SEARCH,
     TuningTask,
     geometric_mean,
     is_reachable,
@@ -155,14 +155,14 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     """
     # gains by speed and lateral reference, for each purpose and seed
     gains: dict[tuple[str, int], dict[tuple[float, float], Gains]] = {
-        (purpose, seed): {} for purpose in (TABLE, RANDOM, SINGLE) for seed in task.seeds
+        (purpose, seed): {} for purpose in (TABLE_SEARCH, RANDOM, SINGLE) for seed in task.seeds
     }
     for search in task.searches():
         found, value = results[search.name]
         if math.isfinite(value):
             node = search.nodes[0]
             gains[search.purpose, search.seed][node.speed, node.reference] = found
-    if not any(gains[TABLE, seed] for seed in task.seeds):
+    if not any(gains[TABLE_SEARCH, seed] for seed in task.seeds):
         raise ValueError("search: every car was lost at every node: choose other bounds")
     # all candidates, evaluated at the nodes and half-way between them
     tables = {
@@ -183,13 +183,13 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
             key=lambda item: item.overall,
             default=None,
         )
-        for purpose in (TABLE, SINGLE)
+        for purpose in (TABLE_SEARCH, SINGLE)
     )
     assert table is not None
     if single is None:  # each single set loses a car at one node
         single = Candidate(NO_SINGLE, table.table, (math.inf,), (math.inf,))
     others = tuple(item for item in candidates if item not in (table, single))
-    own = gains[TABLE, int(table.name.split()[-1])]
+    own = gains[TABLE_SEARCH, int(table.name.split()[-1])]
     places = [(node.speed, node.reference) for node in nodes]
     return TuningReport(table, single, others, tuple(at for at in places if at not in own))
 

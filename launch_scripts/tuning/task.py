@@ -33,7 +33,7 @@ GAIN_DIGITS = 6
 """Significant digits of a gain."""
 REACH = 2.0
 """Largest reachable lateral reference, divided by the speed [s]."""
-TABLE, SINGLE, RANDOM = "table", "single", "random"
+TABLE_SEARCH, SINGLE, RANDOM = "table", "single", "random"
 """Purposes of a search: swarm for one node, swarm for all nodes, random samples for one node."""
 Bounds = tuple[float, float]
 
@@ -192,7 +192,7 @@ class TuningTask(NamedTuple):
             Search(purpose, seed, i, chosen, self.space, settings)
             for purpose, group, settings in (
                 (SINGLE, everywhere, swarm),
-                (TABLE, reachable, swarm),
+                (TABLE_SEARCH, reachable, swarm),
                 (RANDOM, reachable, samples),
             )
             for seed in self.seeds

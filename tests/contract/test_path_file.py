@@ -8,7 +8,7 @@ import pytest
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import SizeParameters
-from ampc_msgs_config.paths.csv_columns import MAX_BYTES, MAX_POINTS, tangent_plane
+from ampc_msgs_config.paths.csv_columns import MAX_CSV_BYTES, MAX_POINTS, tangent_plane
 from ampc_msgs_config.paths.path_file import (
     Route,
     SpeedLimits,
@@ -105,7 +105,7 @@ BAD = {
     "time goes back": ("t_s,x_m,y_m\n0,0,0\n2,1,0\n1,2,0\n", r"t_s = 1 must be greater than 2"),
     "another frame": ("x_m,y_m,v_mps\n0,0,1\n1,0,1\n5e8,5e8,1\n", r"length = .* must be at most"),
     "many points": ("x_m,y_m\n" + "1,0\n" * (MAX_POINTS + 1), r"500001 points are more than"),
-    "many bytes": ("x_m,y_m\n" + " " * MAX_BYTES, r"\d+ bytes are more than"),
+    "many bytes": ("x_m,y_m\n" + " " * MAX_CSV_BYTES, r"\d+ bytes are more than"),
     "huge field": ("x_m,y_m\n" + "1" * 200_000 + ",0\n", r"cannot be read: field larger"),
 }
 

@@ -7,10 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import closure, make_path, without_standstills
 from ampc_msgs_config.paths.smoothing import FEWEST, Smoother, chord_parameter, smoothed
 from ampc_msgs_config.types import Array
+from ampc_ros.supervision.checks import check_path
 
 generated = settings(max_examples=15, deadline=None, derandomize=True)
 NOISES = st.sampled_from([0.002, 0.005, 0.01, 0.02, 0.05])
@@ -141,6 +144,24 @@ def test_given_noise_decides_how_much_is_smoothed() -> None:
     for bad in (-0.01, math.nan, math.inf):
         with pytest.raises(ValueError, match=r"path_noise = .* must be finite and not negative"):
             make_path(points, path_noise=bad)
+
+
+@pytest.mark.parametrize("noise", [0.2, 0.3])
+def test_estimated_noise_up_to_the_bound_is_smoothed(noise: float) -> None:
+    path = make_path(noisy(points_of("weave", 1.0), noise, 7))
+    assert path.noise == pytest.approx(noise, rel=0.3)
+    assert np.abs(offsets("weave", path)).max() < 3.0 * noise
+
+
+@pytest.mark.parametrize("width", [1.0, 2.0])
+@pytest.mark.parametrize("spacing", [0.5, 1.0, 2.0])
+def test_zigzag_is_no_noise(spacing: float, width: float) -> None:
+    points = points_of("weave", spacing)
+    points[::2, 1] += width
+    assert smoothed(points, None, False) is None
+    with pytest.raises(ValueError, match=r"path: curvature after .* the range of the steering"):
+        check_path(points, load(ChassisParameters, find("vehicles", "paper"), "chassis"), 0.52)
+    assert smoothed(points, width / 2, False) is not None  # the user states the noise
 
 
 def test_short_paths_are_interpolated() -> None:

@@ -13,7 +13,7 @@ from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.supervision import plausibility as track
 from ampc_ros.supervision.checks import StateCheck, StateFilter
-from ampc_ros.supervision.plausibility import CAUSES, WINDOW
+from ampc_ros.supervision.plausibility import CAUSES, CHECK_WINDOW
 from sim_vehicle.measurement import Deviations, noisy
 from sim_vehicle.parameters import MeasurementNoise
 
@@ -370,7 +370,7 @@ def test_a_heading_may_differ_by_0_2_rad_from_where_the_yaw_rate_takes_it(
 
 def test_a_pose_may_differ_from_its_twist_by_half_a_metre_and_5_percent_of_the_way() -> None:
     v = 4.0
-    most = 0.5 + 0.05 * v * WINDOW
+    most = 0.5 + 0.05 * v * CHECK_WINDOW
     for drift, expected in ((most - 1e-9, ""), (most + 1e-9, "twist_contradicts_pose")):
         filtered = StateFilter()
         for i in range(6):
@@ -404,7 +404,7 @@ def test_a_frozen_pose_is_found_and_never_accepted_again_while_its_twist_moves(
         if not verdict.accepted and found is None:
             found = t - 2.0
         assert verdict.accepted == (found is None)
-    threshold = 0.5 + 0.05 * v * WINDOW
+    threshold = 0.5 + 0.05 * v * CHECK_WINDOW
     assert found is not None
     assert found <= threshold / v + 1.0 / hz + 1e-9
     assert found <= threshold / v + 0.1 + 1e-9
@@ -474,14 +474,14 @@ def test_a_gap_in_time_ends_the_window_and_the_car_may_have_gone_on_meanwhile() 
 
 
 def test_a_twist_is_held_against_the_pose_up_to_a_gap_of_half_a_second() -> None:
-    for gap, cause in ((WINDOW, "twist_contradicts_pose"), (WINDOW + 1e-9, "")):
+    for gap, cause in ((CHECK_WINDOW, "twist_contradicts_pose"), (CHECK_WINDOW + 1e-9, "")):
         filtered = StateFilter()
         arrive(filtered, state(0.0))
         assert arrive(filtered, state(gap, x=0.0)).cause == cause
 
 
 def test_the_window_goes_on_over_a_gap_of_half_a_second() -> None:
-    for gap, cause in ((WINDOW, "twist_contradicts_pose"), (WINDOW + 1e-3, "")):
+    for gap, cause in ((CHECK_WINDOW, "twist_contradicts_pose"), (CHECK_WINDOW + 1e-3, "")):
         filtered = StateFilter()
         arrive(filtered, state(0.0))
         assert arrive(filtered, state(gap, x=9.0 * gap - 0.45)) == ACCEPTED
@@ -491,7 +491,7 @@ def test_the_window_goes_on_over_a_gap_of_half_a_second() -> None:
 
 @pytest.mark.parametrize("yaw", np.arange(-3.0, 3.1, 0.5).tolist())
 def test_the_way_counts_in_all_directions(yaw: float) -> None:
-    v, most = 40.0, 0.5 + 0.05 * 40.0 * WINDOW
+    v, most = 40.0, 0.5 + 0.05 * 40.0 * CHECK_WINDOW
     for drift, cause in ((most - 1e-6, ""), (most + 1e-6, "twist_contradicts_pose")):
         filtered = StateFilter()
         for i in range(6):

@@ -19,8 +19,8 @@ from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_msgs_config.types import LIMITS
 from ampc_ros.supervision.guard import (
     LONGEST_PAUSE,
+    MAX_GUARD_SPEED,
     MAX_MEASURED,
-    MAX_SPEED,
     MIN_LIMITED_SPEED,
     SHORTEST,
     Guard,
@@ -274,9 +274,9 @@ def test_bounds_are_the_rows_of_the_limits_at_the_speed() -> None:
 def test_a_speed_that_cannot_be_gives_the_strictest_limits_of_all_speeds(v_x: float) -> None:
     wavy = replace(LIMITS_BY_SPEED, max_angle=(0.5, 0.1, 0.3), lateral_jerk=(9.0, 20.0, 30.0))
     strict = bounds(wavy, CHASSIS, v_x)
-    per = per_acceleration(MAX_SPEED)
+    per = per_acceleration(MAX_GUARD_SPEED)
     assert strict == pytest.approx(GuardBounds(0.1, 4.0 * per, 0.5, 9.0 * per, 0.2), rel=1e-12)
-    for speed in (0.0, 5.0, 10.0, 20.0, 50.0, MAX_SPEED):
+    for speed in (0.0, 5.0, 10.0, 20.0, 50.0, MAX_GUARD_SPEED):
         assert all(a <= b for a, b in zip(strict, bounds(wavy, CHASSIS, speed), strict=True))
 
 
@@ -288,14 +288,14 @@ def test_the_guard_shares_no_code_with_the_controllers() -> None:
 
 
 def test_the_constants_are_what_the_documents_say() -> None:
-    assert (100.0, 0.1, math.pi / 2) == (MAX_SPEED, MIN_LIMITED_SPEED, MAX_MEASURED)
+    assert (100.0, 0.1, math.pi / 2) == (MAX_GUARD_SPEED, MIN_LIMITED_SPEED, MAX_MEASURED)
     assert (LONGEST_PAUSE, SHORTEST) == (2.0, 0.5)
 
 
 def test_the_largest_speed_that_can_be_is_100_metres_a_second() -> None:
     wide = replace(LIMITS_BY_SPEED, max_angle=(0.1, 0.4, 0.2))
-    assert bounds(wide, CHASSIS, MAX_SPEED).angle == 0.2
-    assert bounds(wide, CHASSIS, math.nextafter(MAX_SPEED, UP)).angle == 0.1
+    assert bounds(wide, CHASSIS, MAX_GUARD_SPEED).angle == 0.2
+    assert bounds(wide, CHASSIS, math.nextafter(MAX_GUARD_SPEED, UP)).angle == 0.1
 
 
 @pytest.mark.parametrize("v", [1.0, 20.0, 30.0, 40.0, 100.0])

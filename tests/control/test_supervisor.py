@@ -25,7 +25,7 @@ from ampc_msgs_config.types import (
 from ampc_ros.configuration import CONTROLLERS, Configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.supervision.fallback import NO_REASON, PATH_LOST, STATE_LATE, STATE_LOST
-from ampc_ros.supervision.guard import MEASURED_STEP, NONE, bounds
+from ampc_ros.supervision.guard import MEASURED_STEP, NO_LIMIT, bounds
 from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
@@ -232,7 +232,7 @@ def test_measured_angle_is_used_once() -> None:
     assert first.measured_steering == -0.1
     assert first.command.clipped == MEASURED_STEP
     assert math.isnan(second.measured_steering)
-    assert second.command.clipped == NONE
+    assert second.command.clipped == NO_LIMIT
 
 
 def test_reset_forgets_a_measured_angle() -> None:

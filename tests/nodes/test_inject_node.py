@@ -16,7 +16,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.types import REASONS, RUNGS, VehicleState
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
-from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
+from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Message
 from launch_scripts.faults.schedule import load_faults
 from launch_scripts.nodes.injector_node import InjectorNode, pack, unpack
 from launch_scripts.replay import main as replay
@@ -106,12 +106,12 @@ def test_messages_without_a_fault_are_forwarded_unchanged() -> None:
     odom = ros.odometry_message(STATE)
     path = ros.path_message(np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 1.0)]), 5)
     steering = ros.joint_message(7, 0.1, 0.0)
-    for topic, message in ((ODOM, odom), (PATH, path), (STEERING, steering)):
+    for topic, message in ((ODOM_INPUT, odom), (PATH, path), (STEERING_INPUT, steering)):
         assert pack(unpack(topic, message, 0)) == message
 
 
 def test_faulty_messages_are_rejected_by_the_controller() -> None:
-    message = Message(ODOM, 0, 3_000_000_000, STATE)
+    message = Message(ODOM_INPUT, 0, 3_000_000_000, STATE)
     for wrong in ({"frame_id": ""}, {"length": 0.0}):
         with pytest.raises(ValueError, match="odom: "):
             ros.vehicle_state(pack(message._replace(**wrong)))
@@ -122,7 +122,7 @@ def test_faulty_messages_are_rejected_by_the_controller() -> None:
 
 
 def test_the_topics_of_injector_recorder_and_controller_are_the_same() -> None:
-    assert set(RENAMED) == {ODOM, STEERING, PATH}
+    assert set(RENAMED) == {ODOM_INPUT, STEERING_INPUT, PATH}
     with ros_context() as executor:
         node = InjectorNode()
         add(executor, node)
@@ -156,7 +156,7 @@ def test_an_invalid_state_is_counted_and_not_forwarded() -> None:
     with ros_context():
         node = InjectorNode()
         broken = Odometry()
-        node.on_message(ODOM, broken)
+        node.on_message(ODOM_INPUT, broken)
         assert node.rejected == 1
         assert not node.injector.waiting
         node.destroy_node()

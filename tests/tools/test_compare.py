@@ -17,7 +17,7 @@ from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller
 from launch_scripts.compare import main
 from launch_scripts.comparing.cells import (
-    QUANTITIES,
+    COMPARED_METRICS,
     Cell,
     Conditions,
     Contender,
@@ -30,7 +30,7 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle
 from tests.html_pages import Elements, check_that_no_request_leaves
 from tests.tools.test_python_api import blocks
 
-REPEATED = [key for name, key in QUANTITIES.items() if name != "solve_time"]
+REPEATED = [key for name, key in COMPARED_METRICS.items() if name != "solve_time"]
 """Metrics that every run reproduces."""
 PREVIEW = Contender("preview", "preview", "preview_paper")
 PAPER = Contender("paper", "paper", "table3")
@@ -135,7 +135,7 @@ def test_a_controller_that_refuses_a_path_is_a_cell_with_the_reason() -> None:
 
 
 def test_small_values_of_all_compared_metrics_are_better() -> None:
-    assert {METRICS[key].direction for key in QUANTITIES.values()} == {LOWER}
+    assert {METRICS[key].direction for key in COMPARED_METRICS.values()} == {LOWER}
 
 
 def test_a_lost_car_is_called_lost_and_is_never_the_best() -> None:
@@ -187,7 +187,7 @@ def test_the_page_shows_every_number_that_was_driven_on_the_road(
     shown = [float(a["value"] or "") for tag, a in Elements(page).found if tag == "data"]
     known = [
         cell[key]
-        for key in QUANTITIES.values()
+        for key in COMPARED_METRICS.values()
         for cell in content["cells"]
         if cell["fate"] == "driven"
     ]
@@ -220,7 +220,7 @@ def test_further_formats_hold_the_same_numbers(tmp_path: Path) -> None:
     found = compare(tmp_path, *arguments, "--format", "csv", "svg", "pdf")
     with (tmp_path / "compare.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    heads = {key: f"{key} [{METRICS[key].unit}]" for key in QUANTITIES.values()}
+    heads = {key: f"{key} [{METRICS[key].unit}]" for key in COMPARED_METRICS.values()}
     assert [row["outcome"] for row in rows] == ["driven", "refused", "driven", "driven"]
     for row, cell in zip(rows, found["cells"], strict=True):
         assert (row["scenario"], row["controller"]) == (cell["scenario"], cell["controller"])
@@ -298,3 +298,25 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_driven(
 )
 def test_numbers_have_three_digits(value: float, shown: str) -> None:
     assert three_digits(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [("raise RuntimeError('boom')", "boom"), ("return float('nan')", "not finite"), ("pass", "")],
+)
+def test_controller_that_fails_ends_its_drive_with_the_reason(
+    body: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    lines = [
+        "class Mine:",
+        "    period = 0.1",
+        "    def step(self, state, path):",
+        f"        {body}",
+    ]
+    file.write_text("\n".join(lines) + "\n")
+    words = ["--controllers", "pure_pursuit", f"{file}:Mine", "--scenarios", "sc1"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    output = capsys.readouterr().out
+    assert "gave up" in output or "refused" in output
+    assert text in output

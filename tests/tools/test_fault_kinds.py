@@ -9,7 +9,7 @@ import pytest
 from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from launch_scripts.faults.kinds import FAULT_KINDS
-from launch_scripts.faults.messages import NODE, ODOM, PATH, STEERING, Message
+from launch_scripts.faults.messages import NODE, ODOM_INPUT, PATH, STEERING_INPUT, Message
 from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 
 MS = 1_000_000
@@ -28,11 +28,11 @@ def state(i: int) -> VehicleState:
 
 def sent(topic: str, i: int) -> Message:
     """Return the i-th message of a topic."""
-    value: Any = {ODOM: state(i), STEERING: 0.001 * i, PATH: POINTS}[topic]
+    value: Any = {ODOM_INPUT: state(i), STEERING_INPUT: 0.001 * i, PATH: POINTS}[topic]
     return Message(topic, i * PERIOD_NS, CLOCK_NS + i * PERIOD_NS, value)
 
 
-def arrived(kind: str, topic: str = ODOM, seed: int = 3, **options: Any) -> list[Message]:
+def arrived(kind: str, topic: str = ODOM_INPUT, seed: int = 3, **options: Any) -> list[Message]:
     """Send 100 messages in 2 s, with a fault from 1 s to 1.5 s; return the arrivals until 10 s."""
     fault = Fault(kind=kind, start=START, **({"duration": DURATION} | options))
     line = Injector(FaultSchedule((fault,), seed))
@@ -51,7 +51,7 @@ def others(messages: list[Message]) -> list[Message]:
     return [each for each in messages if each.arrival_ns // PERIOD_NS not in WINDOW]
 
 
-UNTOUCHED = [sent(ODOM, i) for i in range(100) if i not in WINDOW]
+UNTOUCHED = [sent(ODOM_INPUT, i) for i in range(100) if i not in WINDOW]
 CHANGING = ("nan", "noise", "bias_position", "bias_heading", "bias_speed", "drift", "pose_jump",
             "freeze", "wrong_frame", "zero_quaternion", "stamp_jump", "clock_jump")  # fmt: skip
 
@@ -62,20 +62,20 @@ def test_a_fault_changes_numbers_only_during_its_interval(kind: str) -> None:
     assert others(messages) == UNTOUCHED
     assert [each.arrival_ns for each in messages] == [i * PERIOD_NS for i in range(100)]
     for i, message in zip(WINDOW, of_window(messages), strict=True):
-        same = message == sent(ODOM, i)
+        same = message == sent(ODOM_INPUT, i)
         assert not same or (kind == "drift" and i == WINDOW[0])  # a drift starts at zero
 
 
 def test_every_kind_has_valid_topics_and_an_amount_within_its_bounds() -> None:
     for name, kind in FAULT_KINDS.items():
-        assert set(kind.topics) <= {ODOM, STEERING, PATH, NODE}, name
+        assert set(kind.topics) <= {ODOM_INPUT, STEERING_INPUT, PATH, NODE}, name
         assert (kind.change is None) == (kind.topics == (NODE,)), name
         if kind.amount:
             assert kind.amount.low <= kind.amount.default <= kind.amount.high, name
         assert not kind.sided or kind.amount, name
 
 
-@pytest.mark.parametrize("topic", [ODOM, STEERING, PATH])
+@pytest.mark.parametrize("topic", [ODOM_INPUT, STEERING_INPUT, PATH])
 def test_a_seed_reproduces_the_messages_and_other_topics_are_unchanged(topic: str) -> None:
     for name, kind in FAULT_KINDS.items():
         once, again = arrived(name, topic), arrived(name, topic)
@@ -141,7 +141,7 @@ def test_a_burst_delivers_old_messages_at_once_before_a_new_one() -> None:
     assert len(messages) == 1100
     at_once = [each for each in messages if each.arrival_ns == 1000 * MS]
     assert len(at_once) == 1001
-    assert at_once[-1] == sent(ODOM, 50)
+    assert at_once[-1] == sent(ODOM_INPUT, 50)
     assert [each.value for each in at_once[:51]] == [state(i % 50) for i in range(51)]
 
 
@@ -177,7 +177,7 @@ def test_a_drift_grows_steadily_and_jumps_back() -> None:
     off = [math.hypot(m.value.x - state(i).x, m.value.y - state(i).y)
            for i, m in zip(WINDOW, of_window(messages), strict=True)]  # fmt: skip
     assert off == pytest.approx(np.arange(25) / 25, abs=1e-12)
-    assert messages[75] == sent(ODOM, 75)
+    assert messages[75] == sent(ODOM_INPUT, 75)
 
 
 def test_noise_has_the_requested_size_and_a_mirror_image() -> None:
@@ -207,9 +207,9 @@ def test_stamps_jump_and_the_controllers_clock_only_where_all_clocks_do(amount: 
 
 
 def test_the_steering_sensor_can_have_a_bias_or_freeze() -> None:
-    off = of_window(arrived("bias_steering", STEERING, amount=0.05))
+    off = of_window(arrived("bias_steering", STEERING_INPUT, amount=0.05))
     assert [m.value for m in off] == pytest.approx([0.001 * i + 0.05 for i in WINDOW])
-    assert {m.value for m in of_window(arrived("freeze_steering", STEERING))} == {0.049}
+    assert {m.value for m in of_window(arrived("freeze_steering", STEERING_INPUT))} == {0.049}
 
 
 def test_a_qp_fault_is_active_in_its_interval_without_any_message() -> None:
@@ -240,8 +240,8 @@ def test_another_fault_does_not_change_the_random_numbers_of_the_first() -> None
     other = Fault(kind="noise", start=1.6, duration=0.2)
     alone, both = Injector(FaultSchedule((one,), 3)), Injector(FaultSchedule((one, other), 3))
     for i in range(100):
-        alone.put(sent(ODOM, i))
-        both.put(sent(ODOM, i))
+        alone.put(sent(ODOM_INPUT, i))
+        both.put(sent(ODOM_INPUT, i))
     assert of_window(alone.due(10**12)) == of_window(both.due(10**12))
 
 
@@ -251,14 +251,14 @@ def test_faults_at_the_same_time_act_one_after_the_other() -> None:
     )
     line = Injector(FaultSchedule(faults))
     for i in range(100):
-        line.put(sent(ODOM, i))
+        line.put(sent(ODOM_INPUT, i))
     messages = [each for each in line.due(10**12) if each.value.v_x == 11.0]
     assert len(messages) == 2 * len(WINDOW)
 
 
 def test_no_message_arrives_before_its_time() -> None:
     line = Injector(FaultSchedule((Fault(kind="delay", start=0.0, duration=5.0, amount=0.1),)))
-    line.put(sent(ODOM, 1))
+    line.put(sent(ODOM_INPUT, 1))
     assert line.due(120 * MS - 1) == []
     assert line.next_ns == 120 * MS
     assert len(line.due(120 * MS)) == 1

@@ -11,9 +11,9 @@ import numpy as np
 from ampc_msgs_config.config import read_text
 from ampc_msgs_config.types import Array
 
-MAX_BYTES, MAX_POINTS = 50_000_000, 500_000
+MAX_CSV_BYTES, MAX_POINTS = 50_000_000, 500_000
 """Greatest size [bytes] and number of points of a CSV file."""
-NAMES = {
+HEADER_NAMES = {
     "x": ("x_m", "x", "x_east_m", "easting", "easting_m", "east_m", "x_ref_m"),
     "y": ("y_m", "y", "y_north_m", "northing", "northing_m", "north_m", "y_ref_m"),
     "v": ("v_mps", "vx_mps", "speed_mps"),
@@ -53,7 +53,7 @@ def read_path_table(file: File, selection: str = "") -> PathTable:
     Raises:
         ValueError: File, header or line, and value.
     """
-    text = read_text(file, MAX_BYTES).lstrip("\ufeff")
+    text = read_text(file, MAX_CSV_BYTES).lstrip("\ufeff")
     try:
         return _table(text.splitlines(), selection)
     except csv.Error as error:
@@ -152,7 +152,7 @@ def _found(names: list[str]) -> dict[str, int]:
     if twice:
         raise ValueError(f"header {names} names {twice[0]!r} twice")
     result: dict[str, int] = {}
-    for key, known in NAMES.items():
+    for key, known in HEADER_NAMES.items():
         places = [i for i, name in enumerate(lower) if name in known]
         if len(places) > 1:
             both = " and ".join(repr(names[i]) for i in places)
@@ -183,9 +183,9 @@ def _selected(selection: str, names: list[str], width: int) -> dict[str, int]:
     result: dict[str, int] = {}
     for part in selection.split(","):
         key, _, column = (each.strip() for each in part.partition("="))
-        if key not in NAMES or not column or key in result:
+        if key not in HEADER_NAMES or not column or key in result:
             raise ValueError(
-                f"columns {selection!r}: {part!r} must be one of {', '.join(NAMES)}, once, "
+                f"columns {selection!r}: {part!r} must be one of {', '.join(HEADER_NAMES)}, once, "
                 "with a number or name, as in x=3,y=4"
             )
         lower = [name.lower() for name in names]

@@ -34,19 +34,19 @@ DEGREE = 5
 ORDER = DEGREE + 1
 NULL_SPACE = 3
 """Dimension of the curves without penalty: the polynomials of degree 2."""
-KNOT_GAP = 1.0
+SMOOTHING_KNOT_GAP = 1.0
 """Least distance of the knots [m]."""
-ROUNDING = 1e-6
+KNOT_ROUNDING = 1e-6
 """Rounding of lengths that may not change the knots when a path is moved or turned [m]."""
 CHORD = 1.0
 """Least length of the chords along which points are ordered [m]."""
 ROUGH = 10.0
 """Least length of the chords [noise of the points]."""
-SHORTEST, LONGEST = 2.0, 100.0
+MIN_SMOOTHED_LENGTH, LONGEST = 2.0, 100.0
 """Range of the cut-off wavelength of the smoothing [m]."""
 RESOLUTION = 1.1
 """Least cut-off wavelength [mean distance of the points]."""
-STEP = 1.6
+WAVELENGTH_STEP = 1.6
 """Ratio of neighbouring cut-off wavelengths of the search."""
 SIGNIFICANT = 3.0
 """Increase of -2 log REML up to which a smoother curve is as likely as the best one.
@@ -56,9 +56,11 @@ smoothing; the smoothest curve that is about as likely then wins.
 """
 FEWEST = 20
 """Least number of points from which noise is estimated."""
+MOST_ESTIMATED_NOISE = 0.4
+"""Larger estimated noise [m] is a defect of the path: its points are then checked as they are."""
 SHORT = 5.0
 """Length of a path below which it is not smoothed [m]."""
-OVERLAP = 200.0
+LAP_OVERLAP = 200.0
 """Length by which a lap is continued at both ends for the fit, so that it is smooth there [m]."""
 
 
@@ -135,9 +137,9 @@ def knots_of(places: Array) -> Array:
     breaks, last = [], 0
     while last < len(ordered):
         breaks.append(ordered[last])
-        last = bisect_left(ordered, ordered[last] + KNOT_GAP - ROUNDING, last + 1)
+        last = bisect_left(ordered, ordered[last] + SMOOTHING_KNOT_GAP - KNOT_ROUNDING, last + 1)
     end = ordered[-1]
-    if end - breaks[-1] < KNOT_GAP / 2 and len(breaks) > 1:
+    if end - breaks[-1] < SMOOTHING_KNOT_GAP / 2 and len(breaks) > 1:
         breaks[-1] = end
     elif end > breaks[-1]:
         breaks.append(end)
@@ -250,7 +252,7 @@ def smoothed(points: Array, noise: float | None, closed: bool) -> Smoothed | Non
 
     Returns:
         The smoothing spline from parameter 0 to the place of the last point; None if the points
-        are too few or too close together.
+        are too few or too close together, or their estimated noise exceeds MOST_ESTIMATED_NOISE.
     """
     if len(points) < (FEWEST if noise is None else NULL_SPACE + 1):
         return None
@@ -258,24 +260,26 @@ def smoothed(points: Array, noise: float | None, closed: bool) -> Smoothed | Non
     chord = CHORD if noise is None else max(CHORD, ROUGH * noise)
     for _ in range(2):
         if len(_chain(points, chord)) <= SHORT / CHORD:
-            return result
+            break
         places = chord_parameter(points, chord, closed=closed)
         length = float(places[-1])
         try:
             found = smooth(*(_overlapped(places, points) if closed else (places, points)), noise)
         except np.linalg.LinAlgError:  # nearly all points lie in the same places
-            return result
+            break
         result = found._replace(length=length)
         if ROUGH * found.noise <= chord:
             break
         chord = ROUGH * found.noise
+    if noise is None and result is not None and result.noise > MOST_ESTIMATED_NOISE:
+        return None
     return result
 
 
 def _overlapped(places: Array, points: Array) -> tuple[Array, Array]:
     """Return places and points of a lap, continued at both ends."""
     lap = places[-1]
-    reach = min(OVERLAP, lap)
+    reach = min(LAP_OVERLAP, lap)
     before, after = places[:-1] > lap - reach, places[:-1] < reach
     where = np.concatenate((places[:-1][before] - lap, places[:-1], places[:-1][after] + lap))
     base = points[:-1]
@@ -308,10 +312,10 @@ def _wavelength(problem: Smoother, noise: float | None) -> float:
     The whole range is searched on a coarse grid, since the criterion may have a second minimum on
     points far apart; then parabolas in log(wavelength) refine the place.
     """
-    shortest = max(SHORTEST, RESOLUTION / problem.density)
+    shortest = max(MIN_SMOOTHED_LENGTH, RESOLUTION / problem.density)
     longest = min(LONGEST, float(problem.knots[-1] - problem.knots[0]))
-    count = 2 + int(math.log(max(longest / shortest, 1.0), STEP))
-    grid = [shortest * STEP**i for i in range(count)]
+    count = 2 + int(math.log(max(longest / shortest, 1.0), WAVELENGTH_STEP))
+    grid = [shortest * WAVELENGTH_STEP**i for i in range(count)]
     values = [problem.criterion(each, noise) for each in grid]
     best = int(np.argmin(values))
     if not 0 < best < count - 1:
@@ -327,4 +331,4 @@ def _wavelength(problem: Smoother, noise: float | None) -> float:
     if best < last < count - 1:
         rise = values[last + 1] - values[last]
         place = last + (bound - values[last]) / rise
-    return float(shortest * STEP**place)
+    return float(shortest * WAVELENGTH_STEP**place)

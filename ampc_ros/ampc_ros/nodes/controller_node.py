@@ -64,6 +64,7 @@ class ControllerNode(ConfiguredNode):
     def __init__(self) -> None:
         """Declare everything; configure and activate where `autostart` is true."""
         super().__init__("controller")
+        self.failure = ""
         self.condition = Condition()
         self.reported = -math.inf
         self.commands = 0
@@ -310,7 +311,10 @@ class ControllerNode(ConfiguredNode):
     def report_change(self, record: TickRecord) -> None:
         """Request a stop where that is new, and report a changed condition at once."""
         self.outputs.request_stop(self.supervisor.stop_requested)
-        self.trouble = self.supervisor.controller.failure or self.trouble
+        failure = self.supervisor.controller.failure
+        if failure and failure != self.failure:
+            self.get_logger().warning(failure)
+        self.failure, self.trouble = failure, failure or self.trouble
         before, now = self.condition, condition(self.supervisor, record)
         if now != before and time.monotonic() - self.reported > REPORT_PAUSE:
             self.condition = now

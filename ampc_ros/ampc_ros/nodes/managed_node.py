@@ -8,7 +8,7 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 
 from ampc_msgs_config.nodes.base_node import BaseNode, declare
 
-SUCCESS, FAILURE, ERROR = (
+SUCCESS, FAILURE, ERROR_RESULT = (
     TransitionCallbackReturn.SUCCESS,
     TransitionCallbackReturn.FAILURE,
     TransitionCallbackReturn.ERROR,
@@ -137,7 +137,7 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
                 self.get_logger().error(f"{action.__name__.strip('_')}: {kind}{error}")
             if is_expected:
                 self.while_configured.close()
-            return FAILURE if is_expected else ERROR
+            return FAILURE if is_expected else ERROR_RESULT
 
     def _reject_impossible(self, change: ChangeStateCallback) -> ChangeStateCallback:
         """Reject a transition that the present state does not have; rclpy would end the node."""

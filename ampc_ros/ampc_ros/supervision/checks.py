@@ -12,10 +12,10 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.supervision.plausibility import (
     CAUSES,
+    CHECK_WINDOW,
     FUTURE,
-    WINDOW,
     Rejection,
-    Track,
+    StateHistory,
     stamp_difference,
     time_between,
     unusable,
@@ -35,9 +35,9 @@ class StateCheck(NamedTuple):
     """Result of the check of a state."""
 
     accepted: bool
-    """Whether it is the newest valid state now."""
+    """True: the state is now the newest valid one."""
     reset: bool = False
-    """Whether it starts a new track: earlier states are no longer valid."""
+    """True: earlier states are no longer valid, and this one starts a new history."""
     cause: str = ""
     """Cause of the rejection or of the new track, one of CAUSES."""
     reason: str = ""
@@ -62,8 +62,8 @@ class StateFilter:
     def __init__(self) -> None:
         """Create a filter that accepts any first state."""
         self.rejected = dict.fromkeys(CAUSES, 0)
-        self.track: Track | None = None
-        self.candidate: Track | None = None
+        self.track: StateHistory | None = None
+        self.candidate: StateHistory | None = None
         self.now_ns = self.candidate_ns = 0
 
     def reset(self) -> None:
@@ -81,7 +81,7 @@ class StateFilter:
         if rejection:
             return self._reject(rejection)
         if self.track is None:
-            self.track, self.now_ns = Track(state), now_ns
+            self.track, self.now_ns = StateHistory(state), now_ns
             return StateCheck(True)
         rejection = self.track.objection(state, silent=self._silent_before(state))
         if rejection is None:
@@ -104,7 +104,7 @@ class StateFilter:
         back = rejection.cause in ("out_of_order", "clock_jumped_back")
         clock_went_back = 0 < now_ns < self.now_ns - FUTURE * NANOSECONDS
         if back and clock_went_back:
-            self.candidate = Track(state)
+            self.candidate = StateHistory(state)
             return True
         if rejection.cause == "out_of_order":
             return False
@@ -112,19 +112,19 @@ class StateFilter:
         lasted = stamp_difference(candidate.first_ns, candidate.last.stamp_ns)
         if back and stamp_difference(self.candidate_ns, now_ns) < PACE * lasted:
             return False
-        return lasted >= WINDOW or (back and candidate.count >= CONFIRMED)
+        return lasted >= CHECK_WINDOW or (back and candidate.count >= CONFIRMED)
 
     def _silent_before(self, state: VehicleState) -> bool:
         """Return whether no state, accepted or rejected, came for longer than WINDOW."""
         tracks = (self.track, self.candidate)
-        return all(time_between(track.last, state) > WINDOW for track in tracks if track)
+        return all(time_between(track.last, state) > CHECK_WINDOW for track in tracks if track)
 
-    def _extend_candidate(self, state: VehicleState, now_ns: int) -> Track:
+    def _extend_candidate(self, state: VehicleState, now_ns: int) -> StateHistory:
         """Add a state to the candidate if consistent; if it contradicts, start another one."""
         silent = self._silent_before(state)
         objection = self.candidate.objection(state, silent=silent) if self.candidate else None
         if self.candidate is None or (objection and objection.cause not in LATE):
-            self.candidate, self.candidate_ns = Track(state), now_ns
+            self.candidate, self.candidate_ns = StateHistory(state), now_ns
         elif objection is None:
             self.candidate.append(state)
         return self.candidate

@@ -12,10 +12,10 @@ from typing import NamedTuple
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_msgs_config.types import LIMITS
 
-NONE, NOT_FINITE, ANGLE, LATERAL_ACCELERATION, RATE, LATERAL_JERK, MEASURED_STEP = range(
+NO_LIMIT, NOT_FINITE, ANGLE, LATERAL_ACCELERATION, RATE, LATERAL_JERK, MEASURED_STEP = range(
     len(LIMITS)
 )
-MAX_SPEED = 100.0
+MAX_GUARD_SPEED = 100.0
 """A larger speed is a broken measurement [m/s]."""
 MIN_LIMITED_SPEED = 0.1
 """Below this speed no angle causes a lateral acceleration worth a limit [m/s]."""
@@ -66,13 +66,13 @@ def bounds(limits: GuardLimits, chassis: ChassisParameters, v_x: float) -> Guard
         there, so at least half its wheelbase is used.
     """
     v = abs(v_x)
-    if v <= MAX_SPEED:
+    if v <= MAX_GUARD_SPEED:
         v = max(v, MIN_LIMITED_SPEED)
         angle, rate, acceleration, jerk, step = (
             interpolate_linear(limits.speed, row, v) for row in rows(limits)
         )
     else:
-        v = MAX_SPEED
+        v = MAX_GUARD_SPEED
         angle, rate, acceleration, jerk, step = (min(row) for row in rows(limits))
     L, K_us = chassis.wheelbase, chassis.understeer_gradient
     per_acceleration = max(L + K_us * v * v, SHORTEST * L) / (v * v)  # rad per m/s^2
@@ -173,7 +173,7 @@ class Guard:
         # The rate follows from the clipped angle, and has its own limits.
         rate = (allowed - last) / self.period if clipped else rate
         most = min(bound.rate, bound.jerk)
-        return GuardResult(allowed, min(max(rate, -most), most), min(clipped, default=NONE))
+        return GuardResult(allowed, min(max(rate, -most), most), min(clipped, default=NO_LIMIT))
 
 
 def measured_range(measured: float | None, step: float, last: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ POSITION_JUMP = 0.5
 """Largest distance between a position and the reach of the speed [m]."""
 HEADING_JUMP = 0.2
 """Largest difference between a heading and the reach of the yaw rate [rad]."""
-WINDOW = 0.5
+CHECK_WINDOW = 0.5
 """Time over which the twist is integrated and compared with the pose [s]; rejected states that are
 consistent with each other for as long replace the track."""
 DRIFT = 0.5
@@ -74,7 +74,7 @@ class WindowSample(NamedTuple):
     """[m]."""
 
 
-class Track:
+class StateHistory:
     """States that are consistent with each other, as far back as the window reaches."""
 
     def __init__(self, state: VehicleState) -> None:
@@ -90,13 +90,13 @@ class Track:
 
     def append(self, state: VehicleState) -> None:
         """Add a consistent state; after a gap the integration starts again."""
-        if time_between(self.last, state) > WINDOW:
+        if time_between(self.last, state) > CHECK_WINDOW:
             self.window.clear()
             self.window.append(WindowSample(state))
         else:
             self.window.append(self._integrate(state))
         self._integrated = None
-        while len(self.window) > 1 and time_between(self.window[1].state, state) >= WINDOW:
+        while len(self.window) > 1 and time_between(self.window[1].state, state) >= CHECK_WINDOW:
             self.window.popleft()
         self.count += 1
 
@@ -147,7 +147,7 @@ class Track:
         """
         first = self.window[0]
         for sample in self.window:
-            if time_between(sample.state, state) < WINDOW:
+            if time_between(sample.state, state) < CHECK_WINDOW:
                 break
             first = sample
         start, now = first.state, self._integrate(state)

@@ -29,7 +29,7 @@ from ampc_ros.mpc.tick_result import QpResult
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import StepInput, new_qp, paper_plan
 from ampc_ros.preview.controller import PreviewMpc
-from launch_scripts.tuning.fleet import STEERING
+from launch_scripts.tuning.fleet import LOG_STEERING
 from launch_scripts.tuning.fleet_rows import Entry, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import load_vehicle
@@ -176,6 +176,6 @@ def make_swarm(formulation: str, cars: int, step: float, seconds: float) -> Call
     )
 
     def drive() -> int:
-        return int(np.isfinite(run_fleet(fleet_run)[:, :, STEERING]).sum())
+        return int(np.isfinite(run_fleet(fleet_run)[:, :, LOG_STEERING]).sum())
 
     return drive

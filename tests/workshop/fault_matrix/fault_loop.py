@@ -18,7 +18,7 @@ from ampc_msgs_config.topics import MAP
 from ampc_msgs_config.types import NANOSECONDS, QUATERNION_LENGTH, Array, TickRecord, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
-from launch_scripts.faults.messages import ODOM, PATH, STEERING, Message
+from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Message
 from launch_scripts.faults.schedule import Injector
 from sim_vehicle.closed_loop import Simulation
 
@@ -130,8 +130,8 @@ class FaultyDrive:
             self.samples.append(
                 (now_ns / NANOSECONDS, error, state.v_x, state.v_x * state.yaw_rate)
             )
-            self.line.put(Message(STEERING, now_ns, stamp_ns, car.steering))
-            self.line.put(Message(ODOM, now_ns, stamp_ns, state))
+            self.line.put(Message(STEERING_INPUT, now_ns, stamp_ns, car.steering))
+            self.line.put(Message(ODOM_INPUT, now_ns, stamp_ns, state))
         if now_ns % PATH_NS == 0:
             self.line.put(Message(PATH, now_ns, START_NS + now_ns, self.points))
 
@@ -155,13 +155,13 @@ class FaultyDrive:
         try:
             self.take(message)
         except ValueError:
-            if message.topic != ODOM:  # states are counted by the supervisor
+            if message.topic != ODOM_INPUT:  # states are counted by the supervisor
                 self.rejected[message.topic] += 1
 
     def take(self, message: Message) -> None:
         """Pass a message to the supervisor; after a deferred tick a state is answered at once."""
         supervisor = self.supervisor
-        if message.topic == STEERING:
+        if message.topic == STEERING_INPUT:
             supervisor.take_steering(message.value)
         elif message.topic == PATH:
             supervisor.take_path(message.value, message.stamp_ns, self.clock_ns())

@@ -50,10 +50,12 @@ EQUIVALENT: dict[str, str] = {
         f"self.window = deque([(state, {numbers})], MOST_STATES)",
     )
 } | {
-    "plausibility: while len(self.window) > 2 and seconds(self.window[1][0], state) >= WINDOW:": (
+    "plausibility: while len(self.window) > 2 and "
+    "seconds(self.window[1][0], state) >= CHECK_WINDOW:": (
         "the second of two states is the newest, of age 0"
     ),
-    "plausibility: while len(self.window) > 1 and seconds(self.window[1][0], state) > WINDOW:": (
+    "plausibility: while len(self.window) > 1 and "
+    "seconds(self.window[1][0], state) > CHECK_WINDOW:": (
         "one more state is stored, which is ignored where the window is read"
     ),
     "plausibility: if dt <= 0.0:": "a difference of 0 has been handled before",
