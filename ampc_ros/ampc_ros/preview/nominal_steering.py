@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.parameters import FRICTION_SHARE
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import InternalModel
@@ -13,6 +13,8 @@ from ampc_ros.preview.model import angle_bound, road_steering
 NOMINAL_SHARE = 0.7
 """Share of the largest increment that the angles without correction use. The rest is left to the
 feedback in both directions, at every step."""
+CHANGE_TIME = 0.1
+"""Time over which the rate of change of the curvature is taken, at least two ticks [s]."""
 SWEEPS = 40
 """Sweeps of `limit_rate`."""
 OVER_RELAXATION = 1.7
@@ -73,13 +75,9 @@ def demanded_angles(vehicle: Vehicle, road: Road, T: float, angles: Array) -> No
         T: Step [s].
         angles: Receives the angles (2 H + 1,); entry H is entry 0 of the road [rad].
     """
-    now, behind = len(road.behind), road.behind
-    for j in range(now):
-        after = behind[j - 1] if j > 0 else road.curvature[0]
-        change = (after - behind[min(j + 1, now - 1)]) / ((2.0 if j + 1 < now else 1.0) * T)
-        angles[now - 1 - j] = road_steering(vehicle, road.speed[0], behind[j], change)
-    for i in range(len(road.speed)):
-        angles[now + i] = road_angle(vehicle, road, i, T)
+    now = len(road.behind)
+    for i in range(len(angles)):
+        angles[i] = road_angle(vehicle, road, i - now, T)
 
 
 @in_place
@@ -118,7 +116,19 @@ def limit_rate(angles: Array, step: float, pressure: Array) -> None:
 
 @in_place
 def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
-    """Return the angle that keeps the car on the path at entry i of the horizon [rad]."""
-    before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
-    change = (road.curvature[after] - road.curvature[before]) / ((after - before) * T)
-    return road_steering(vehicle, road.speed[i], road.curvature[i], change)
+    """Return the angle that keeps the car on the path at entry i, in [-H, H] [rad].
+
+    The rate of change of the curvature is that over `CHANGE_TIME`: over a shorter time it would
+    contain the steps of a curvature that is interpolated between samples of the path.
+    """
+    reach = max(round(CHANGE_TIME / (2.0 * T)), 1)
+    first, last = -len(road.behind), len(road.curvature) - 1
+    before, after = max(i - reach, first), min(i + reach, last)
+    change = (curvature_at(road, after) - curvature_at(road, before)) / ((after - before) * T)
+    return road_steering(vehicle, road.speed[max(i, 0)], curvature_at(road, i), change)
+
+
+@inlined
+def curvature_at(road: Road, i: int) -> float:
+    """Return the curvature of entry i, in [-H, H] [1/m]."""
+    return road.curvature[i] if i >= 0 else road.behind[-i - 1]

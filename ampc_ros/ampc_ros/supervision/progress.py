@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, Progress, errors_at
-from ampc_msgs_config.types import Array, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 
 GATE = 5.0
 """A branch is a candidate if it is at most this much farther away than the nearest one [m]."""
@@ -26,6 +26,10 @@ ALONG_WEIGHT = 0.3
 """Weight of an offset along the path: the arc lengths of noisy paths differ."""
 SIMILAR = 0.3
 """Branches whose differences from the driven one differ by less are equally good [m]."""
+BLEND_TIME = 0.5
+"""Time constant with which a small shift of a new path reaches the controllers [s]."""
+MAX_BLENDED = 0.3
+"""Shift of a path from which the controllers follow it at once [m]."""
 SAME_END = 1.0
 """Distance within which two ends of paths are the same place [m]."""
 
@@ -43,6 +47,15 @@ class Location(NamedTuple):
     """Signed distance from the path, positive to its left [m]."""
     step: float
     """Change of that distance by a new path at this instant [m]."""
+    blended: float
+    """Part of that distance, due to shifts of new paths, that controllers do not see yet [m]."""
+
+    def seen(self, car: VehicleState) -> VehicleState:
+        """Return the state with the cross-track error that controllers see."""
+        if not self.blended:
+            return car
+        dx, dy = math.sin(car.yaw) * self.blended, -math.cos(car.yaw) * self.blended
+        return car._replace(x=car.x + dx, y=car.y + dy)
 
 
 class PathProgress:
@@ -56,9 +69,12 @@ class PathProgress:
         """Forget path and progress: the next path is searched as a first one."""
         self.source: Path | None = None
         self.tracker: Progress | None = None
+        self.blended = 0.0
+        self.stamp_ns = 0
 
     def relocate(self, car: VehicleState) -> None:
         """Continue after a jump of the position, on the nearest branch that is next in progress."""
+        self.blended = 0.0
         if self.tracker is None or self.tracker.index == NOT_CAUGHT:
             return
         path = self.tracker.path
@@ -88,7 +104,25 @@ class PathProgress:
             self.tracker = Progress(source._replace(entry=self.tracker.index))
         self.source = source
         s, error = errors(self.tracker, car)
-        return Location(self.tracker.path, s, error, 0.0 if before is None else error - before)
+        step = 0.0 if before is None else error - before
+        self.blend(step, car.stamp_ns)
+        return Location(self.tracker.path, s, error, step, self.blended)
+
+    def blend(self, step: float, stamp_ns: int) -> None:
+        """Let the shift of a new path reach the controllers gradually, unless it is large.
+
+        A planner that sends its path again, each time with other errors of localisation, would
+        otherwise make the controllers steer after each of them.
+
+        Args:
+            step: Change of the cross-track error by a new path [m].
+            stamp_ns: Time of the state [ns].
+        """
+        elapsed = max(stamp_ns - self.stamp_ns, 0) / NANOSECONDS
+        self.stamp_ns = stamp_ns
+        self.blended = self.blended * math.exp(-elapsed / BLEND_TIME) + step
+        if abs(self.blended) > MAX_BLENDED:
+            self.blended = 0.0
 
 
 def errors(tracker: Progress, car: VehicleState) -> tuple[float, float]:

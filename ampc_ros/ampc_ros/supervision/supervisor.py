@@ -347,7 +347,8 @@ class Supervisor:
                 self._centre(state.value), path.value, renew=self._chain.is_new_on_path
             )
             self._chain.feed_forward.progress = self._progress.tracker
-            command = self._chain.answer(state.value, location.path, last, now_ns)
+            seen = location.seen(state.value)
+            command = self._chain.answer(seen, location.path, last, now_ns)
             reason = self._monitor(state.value, location)
             if command.reason == NO_REASON and (is_path_lost or self.no_path):
                 reason = reason or PATH_LOST
