@@ -198,7 +198,8 @@ class ControllerNode(ConfiguredNode):
         if received is None:
             return
         shift = self.frame.shift(received.frame_id, received.stamp_ns)
-        request = Request(shift, config.chassis, config.max_angle)
+        noise = config.settings.known_path_noise
+        request = Request(shift, config.chassis, config.max_angle, noise)
         self.newest_path = None if self.frame.name else received
         assert self.builder
         tag = received._replace(data=b""), self.frame.name

@@ -42,6 +42,8 @@ class Request(NamedTuple):
     chassis: ChassisParameters
     max_angle: float
     """Largest steering angle [rad]."""
+    path_noise: float | None
+    """Known noise of the points, standard deviation [m]; None: it is estimated."""
 
 
 class BuiltPath(NamedTuple):
@@ -96,7 +98,7 @@ def build(data: Any, request: Request) -> BuiltPath:
         return BuiltPath(points, None)
     if _newest and _newest[0] == request and np.array_equal(_newest[1], points):
         return BuiltPath(None, None)
-    path = check_path(points, request.chassis, request.max_angle)
+    path = check_path(points, request.chassis, request.max_angle, path_noise=request.path_noise)
     _newest = request, points, path
     return BuiltPath(points, path)
 

@@ -131,4 +131,4 @@ def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
 @inlined
 def curvature_at(road: Road, i: int) -> float:
     """Return the curvature of entry i, in [-H, H] [1/m]."""
-    return road.curvature[i] if i >= 0 else road.behind[-i - 1]
+    return float(road.curvature[i] if i >= 0 else road.behind[-i - 1])

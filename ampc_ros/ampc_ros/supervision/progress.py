@@ -47,7 +47,7 @@ class Location(NamedTuple):
     """Signed distance from the path, positive to its left [m]."""
     step: float
     """Change of that distance by a new path at this instant [m]."""
-    blended: float
+    blended: float = 0.0
     """Part of that distance, due to shifts of new paths, that controllers do not see yet [m]."""
 
     def seen(self, car: VehicleState) -> VehicleState:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -131,14 +132,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the generator")
     chosen, failed = parser.parse_args(arguments), False
     table = Table(
-        *("kind", "problems", "wrong", "infeasible", "unfinished", "largest residual"),
-        *("DAQP solves", "the same", "NNLS solves", "the same"),
-        title="degenerate QPs, all feasible",
+        *("kind", "problems", "wrong", "infeasible", "unfinished", "residual", "DAQP", "NNLS"),
+        title="Degenerate QPs, all feasible; largest residual; share of the problems that DAQP and "
+        "NNLS solve in which they find the same point",
+        box=box.SIMPLE,
     )
     for i, kind in enumerate(KINDS):
         share = chosen.problems // len(KINDS) + (i < chosen.problems % len(KINDS))
         result = count(verdicts(kind, share, chosen.seed))
-        numbers = [*result[:4], f"{result.residual:.1e}", *result.daqp, *result.nnls]
+        numbers = [*result[:4], f"{result.residual:.1e}"]
+        numbers += [f"{same / max(solved, 1):.0%}" for solved, same in result[-2:]]
         table.add_row(kind, *map(str, numbers))
         failed |= result.failed and kind != "moved"
     Console(highlight=False).print(table)
