@@ -74,8 +74,8 @@ class Driver(Node):
         """Store a configuration."""
         self.config.append(message.data)
 
-    def answer(self, client: Any, request: Any) -> Any:
-        """Call a service and return its response.
+    def answer(self, client: Any, request: Any, *, driving: bool = False) -> Any:
+        """Call a service and return its response; the car drives on meanwhile where that is asked.
 
         A node that has not discovered the client yet drops its response. After some time the
         service is called again, by a new client.
@@ -86,6 +86,8 @@ class Driver(Node):
 
         def is_answered() -> bool:
             nonlocal until
+            if driving:
+                self.drive()
             if time.monotonic() > until:
                 anew = self.create_client(client.srv_type, client.srv_name)
                 futures.append(anew.call_async(request))

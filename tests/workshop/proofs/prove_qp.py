@@ -136,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         title="Degenerate QPs, all feasible; largest residual; share of the problems that DAQP and "
         "NNLS solve in which they find the same point",
         box=box.SIMPLE,
+        pad_edge=False,
     )
     for i, kind in enumerate(KINDS):
         share = chosen.problems // len(KINDS) + (i < chosen.problems % len(KINDS))
