@@ -82,6 +82,18 @@ def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole: Path) -> No
     np.testing.assert_allclose(drive.errors[:, 0], swing, atol=1e-3)
 
 
+def test_the_page_states_the_noise_of_the_path(tmp_path: Path) -> None:
+    points = np.column_stack(
+        (np.arange(0.0, 200.0), 0.02 * np.random.default_rng(1).normal(size=200))
+    )
+    noisy: Messages = {"/reference_path": [(0, ros.path_message(points, 0))]}
+    drive = judged(write_messages(tmp_path / "noisy", foreign(topics=noisy)))
+    assert drive.path_noise == pytest.approx(0.02, rel=0.2)
+    assert ("Path noise", f"{100 * drive.path_noise:.1f} cm") in page.facts_of(drive)
+    alone = judged(write_messages(tmp_path / "alone", {"/odom": odometry(straight_states(30))}))
+    assert "Path noise" not in dict(page.facts_of(alone))
+
+
 def test_an_old_bag_is_reported_with_what_it_lacks_in_words(tmp_path: Path) -> None:
     drive = judged(write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)}))
     assert drive.metrics["solve_time_median"] == pytest.approx(1e-4)
