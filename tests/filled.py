@@ -12,7 +12,7 @@ from ampc_ros.mpc import constraints, hildreth, laguerre, model, prediction
 from ampc_ros.mpc.active_set import active_set_numbers
 from ampc_ros.mpc.descent import descend, feasible_start, relaxed_rows
 from ampc_ros.mpc.internal_model import Actuator
-from ampc_ros.mpc.model import STATES, Vehicle
+from ampc_ros.mpc.model import STATES, BicycleParameters
 from ampc_ros.mpc.qp import INFEASIBLE, SOLVED, Qp, nearest_point
 from ampc_ros.mpc.small_matrices import Scratch, backward, make_scratch, vector
 from ampc_ros.mpc.working_set import no_active_rows
@@ -55,7 +55,7 @@ def running_sum(L: Array) -> Array:
     return S
 
 
-def lateral_dynamics(vehicle: Vehicle, v_x: float) -> tuple[Array, Array]:
+def lateral_dynamics(vehicle: BicycleParameters, v_x: float) -> tuple[Array, Array]:
     """Return A_c (4, 4) and B_c (4,)."""
     A, B = np.zeros((4, 4)), np.zeros(4)
     model.lateral_dynamics(vehicle, v_x, A, B)
@@ -70,7 +70,7 @@ def exponential_integrals(D: Array, T: float) -> Array:
 
 
 def zero_order_hold(
-    vehicle: Vehicle, v_x: float, T: float, lag: float = 0.0
+    vehicle: BicycleParameters, v_x: float, T: float, lag: float = 0.0
 ) -> tuple[Array, Array]:
     """Return A_k (5, 5) and B (5,)."""
     A, B = np.zeros((STATES, STATES)), np.zeros(STATES)
@@ -100,7 +100,9 @@ def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tu
     return E, K
 
 
-def sampled_model(vehicle: Vehicle, v_x: float, T: float, actuator: Actuator) -> SampledModel:
+def sampled_model(
+    vehicle: BicycleParameters, v_x: float, T: float, actuator: Actuator
+) -> SampledModel:
     """Return the model of one step of T [s]."""
     blank = SampledModel(np.full((STATES, STATES), np.nan), *np.zeros((3, STATES)))
     preview_model.sample_model(vehicle, v_x, T, actuator, blank, make_scratch(ENOUGH))

@@ -35,7 +35,7 @@ ODOM_FIELDS = (
 """Message fields of the numbers of a VehicleState after its stamp."""
 MAX_STEERING = math.pi / 2
 """Greatest accepted road-wheel angle [rad]."""
-MAX_SPEED = 100.0
+MAX_TARGET_SPEED = 100.0
 """Greatest accepted target speed [m/s]."""
 
 
@@ -169,11 +169,11 @@ def target_speed(message: TwistStamped) -> Stamped:
     """Unpack a target speed [m/s].
 
     Raises:
-        ValueError: The speed is not in [0, MAX_SPEED].
+        ValueError: The speed is not in [0, MAX_TARGET_SPEED].
     """
     speed = message.twist.linear.x
-    if not 0.0 <= speed <= MAX_SPEED:
-        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_SPEED:g}] m/s")
+    if not 0.0 <= speed <= MAX_TARGET_SPEED:
+        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_TARGET_SPEED:g}] m/s")
     return Stamped(nanoseconds(message.header.stamp), speed)
 
 

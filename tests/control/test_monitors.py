@@ -23,7 +23,7 @@ from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.car import Car
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.supervised import made_for, supervised
 from tests.workshop.acceptance.trials import Trial
 
@@ -218,7 +218,7 @@ def test_own_planner_brakes_to_stand_at_the_end_without_a_request(
     scenario = from_csv(file, v)
     planner, supervisor = SpeedPlanner(scenario), Supervisor(made_for(name))
     supervisor.take_path(scenario.points, NANOSECONDS, NANOSECONDS)
-    simulation = Simulation(load_vehicle(find("vehicles", name)), scenario)
+    simulation = Simulation(load_vehicle_file(find("vehicles", name)), scenario)
     car: Car = simulation.car
     for k in range(round(10 * scenario.duration) + 50):
         new = as_received(car.measure(NANOSECONDS + k * NANOSECONDS // 10))

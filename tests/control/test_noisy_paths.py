@@ -14,7 +14,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 LENGTH = 260.0
 """Arc length of the roads [m]."""
@@ -58,7 +58,7 @@ def largest_error(
     supervisor, true = Supervisor(config), make_path(road(kind, 0.5))
     progress, points, worst, s = Progress(true), road(kind, spacing), 0.0, 0.0
     start = float(true.x[0]), float(true.y[0]), float(true.heading[0])
-    simulated = Car(load_vehicle(find("vehicles", car)), start, 9.0)
+    simulated = Car(load_vehicle_file(find("vehicles", car)), start, 9.0)
     for tick in range(250):
         now_ns = NANOSECONDS + tick * NANOSECONDS // 10
         state = as_received(simulated.measure(now_ns))

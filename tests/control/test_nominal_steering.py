@@ -34,10 +34,10 @@ from ampc_ros.preview.nominal_steering import (
 )
 from ampc_ros.preview.qp_assembly import steering_rows
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.filled import laguerre_sequence, running_sum
 
-CARS = {name: load_vehicle(find("vehicles", name)) for name in ("paper", "ordinary")}
+CARS = {name: load_vehicle_file(find("vehicles", name)) for name in ("paper", "ordinary")}
 LIMITS = load(ControllerSettings, find("controllers", "table3"))
 many = settings(max_examples=100, deadline=None, derandomize=True)
 

@@ -31,13 +31,13 @@ from ampc_msgs_config.types import (
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 from tests.workshop.acceptance.cases import SPEEDS, Case, all_cases
 from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import Trial, overlap, run
 
-CAR = load_vehicle(find("vehicles", "paper"))
-ORDINARY = load_vehicle(find("vehicles", "ordinary"))
+CAR = load_vehicle_file(find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
 TO_CG = CAR.chassis.cg_to_rear_axle
 STRAIGHT = make_path([(0.0, 0.0), (1000.0, 0.0)])
 NOISE = load(MeasurementNoise, find("noise", "x1"))

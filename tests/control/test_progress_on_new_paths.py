@@ -20,7 +20,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.supervision.progress import PathProgress, continued
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.supervised import made_for
 
 ALLOWED = 0.05
@@ -96,7 +96,7 @@ def largest_error(name: str, car_name: str, sending: Sending, controller: str = 
     config = made_for(car_name, controller)
     supervisor, true, worst = Supervisor(config), Progress(road), 0.0
     start = float(road.x[0]), float(road.y[0]), float(road.heading[0])
-    car, s = Car(load_vehicle(find("vehicles", car_name)), start, v), 0.0
+    car, s = Car(load_vehicle_file(find("vehicles", car_name)), start, v), 0.0
     for tick in range(int((road.length - 2.0) / v / 0.1)):
         now = NANOSECONDS + tick * NANOSECONDS // 10
         state = as_received(car.measure(now))

@@ -394,7 +394,7 @@ def test_a_large_file_is_loaded_while_the_controller_steers(
         ticks = node.commands - before
         assert ticks > 2
         assert node.policy.missed - missed <= ticks // 5
-        Path("guard.yaml").write_text(" " * serialized_path.MAX_BYTES, encoding="utf-8")
+        Path("guard.yaml").write_text(" " * serialized_path.MAX_PATH_BYTES, encoding="utf-8")
         future = client.call_async(Trigger.Request())
         world.spin_until(future.done)
         assert "guard.yaml: 64000000 bytes are more than 5000000" in future.result().message
@@ -408,7 +408,7 @@ def test_too_large_a_path_is_rejected_in_one_line(
     monkeypatch.setattr(serialized_path, "MAX_POSES", 199)
     world.controller.on_serialized_path(data)
     assert "reference_path: 200 poses must be at most 199" in world.report()
-    monkeypatch.setattr(serialized_path, "MAX_BYTES", 1000)
+    monkeypatch.setattr(serialized_path, "MAX_PATH_BYTES", 1000)
     world.controller.on_serialized_path(data)
     assert f"message of {len(data)} bytes must have at most 1000" in world.report()
     world.controller.on_serialized_path(b"\0\1\0\0nonsense")

@@ -19,7 +19,7 @@ from ampc_ros.configuration import Choices, Configuration, configuration, from_y
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.driver_of_nodes import Driver, largest_step
 from tests.ros_nodes import ros_context, spin_until
 
@@ -62,7 +62,7 @@ def test_a_change_in_a_bend_steps_no_farther_than_an_ordinary_tick(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("careful.yaml").write_text(CAREFUL, encoding="utf-8")
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     drive_of = load_scenario(scenario, vehicle.size)
     choices = Choices(static_path=True, simulated_time=True)
     config, other = configuration(choices), configuration(choices._replace(**CHANGES[change]))

@@ -27,7 +27,7 @@ from launch_scripts.comparing.cells import (
 )
 from launch_scripts.comparing.results import three_digits
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from tests.html_pages import Elements, check_that_no_request_leaves
 from tests.tools.test_python_api import blocks
 
@@ -39,7 +39,9 @@ CALM = Conditions()
 
 
 def road(name: str, **changes: Any) -> Scenario:
-    return load_scenario(name, load_vehicle(find("vehicles", "paper")).size)._replace(**changes)
+    return load_scenario(name, load_vehicle_file(find("vehicles", "paper")).size)._replace(
+        **changes
+    )
 
 
 def repeated(cell: Cell) -> list[float]:
@@ -76,7 +78,7 @@ def page(folder: Path) -> str:
 
 @pytest.mark.parametrize("contender", [PREVIEW, PAPER, Contender("pp", "pure_pursuit", "")])
 def test_a_cell_has_the_numbers_of_a_single_drive(contender: Contender) -> None:
-    vehicle, scenario = load_vehicle(find("vehicles", "paper")), road("sc2")
+    vehicle, scenario = load_vehicle_file(find("vehicles", "paper")), road("sc2")
     choices = Choices(contender.controller, gain_table=contender.gain_table)
     alone = drive(Simulation(vehicle, scenario), make_controller(choices))
     path = make_path(scenario.points)
@@ -89,7 +91,7 @@ def test_a_cell_has_the_numbers_of_a_single_drive(contender: Contender) -> None:
 
 def test_all_cells_of_a_road_get_the_same_noise_and_the_error_is_that_of_the_car() -> None:
     noisy = Conditions(noise="x1", seed=7)
-    scenario, vehicle = road("sc1"), load_vehicle(find("vehicles", "paper"))
+    scenario, vehicle = road("sc1"), load_vehicle_file(find("vehicles", "paper"))
     noise = load(MeasurementNoise, find("noise", "x1"))
     measured = drive(
         Simulation(vehicle, scenario, noise=noise, rng=np.random.default_rng(7)),

@@ -25,7 +25,7 @@ from launch_scripts.reporting.charts import draw_panel, thin_series
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.page import MAX_BYTES
 from launch_scripts.reporting.panels import PANELS, Axis, Panel, Series
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.report_bags import (
     TICK_NS,
     Messages,
@@ -228,7 +228,7 @@ def test_odometry_of_a_wrong_type_is_refused_in_one_line(
 
 
 def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> None:
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     drive = judged(write_messages(tmp_path / "bag", foreign()), vehicle=vehicle)
     assert drive.context.to_cg == vehicle.chassis.cg_to_rear_axle
     outline = drive.context.outline

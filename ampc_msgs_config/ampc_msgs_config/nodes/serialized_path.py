@@ -23,7 +23,7 @@ NUMBERS = 56
 """Length of position and orientation [bytes]."""
 MAX_POSES = 500_000
 """Largest number of poses of a path."""
-MAX_BYTES = 64_000_000
+MAX_PATH_BYTES = 64_000_000
 """Largest size of a serialised path [bytes]."""
 
 
@@ -49,9 +49,9 @@ def preamble(data: bytes) -> PathPreamble:
         NotTabular: The bytes are not plain CDR, little endian.
         ValueError: The message is too large or has too many poses; with value and bound.
     """
-    if len(data) > MAX_BYTES:
+    if len(data) > MAX_PATH_BYTES:
         raise ValueError(
-            f"reference_path: message of {len(data)} bytes must have at most {MAX_BYTES}"
+            f"reference_path: message of {len(data)} bytes must have at most {MAX_PATH_BYTES}"
         )
     try:
         if data[:HEADER] != LITTLE_ENDIAN:

@@ -7,14 +7,14 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config.topics import CLOCK
 
-PATIENCE = 5.0
+CLOCK_PATIENCE = 5.0
 """Wall time after which a clock that has not started is reported [s]."""
 
 
 class SilentClock:
     """Reports once in the log, and in every diagnostics, that simulated time has not started."""
 
-    def __init__(self, node: Node, patience: float = PATIENCE) -> None:
+    def __init__(self, node: Node, patience: float = CLOCK_PATIENCE) -> None:
         """Start to wait.
 
         Args:

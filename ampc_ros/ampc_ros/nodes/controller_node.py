@@ -24,7 +24,7 @@ from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
-from ampc_ros.nodes.received_path import BuiltPath, Request, build, header_of, prepare
+from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.health import (
     Condition,
@@ -199,11 +199,11 @@ class ControllerNode(ConfiguredNode):
             return
         shift = self.frame.shift(received.frame_id, received.stamp_ns)
         noise = config.settings.known_path_noise
-        request = Request(shift, config.chassis, config.max_angle, noise)
+        request = PathRequest(shift, config.chassis, config.max_angle, noise)
         self.newest_path = None if self.frame.name else received
         assert self.builder
         tag = received._replace(data=b""), self.frame.name
-        self.builder.submit(tag, build, pickle.PickleBuffer(received.data), request)
+        self.builder.submit(tag, build_path, pickle.PickleBuffer(received.data), request)
 
     def on_built_path(self) -> None:
         """Use a path that the other process has built."""

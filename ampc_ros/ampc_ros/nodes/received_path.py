@@ -35,7 +35,7 @@ class Shift(NamedTuple):
         return np.asarray(turned + np.array([self.x, self.y]))
 
 
-class Request(NamedTuple):
+class PathRequest(NamedTuple):
     """Everything that determines a path, apart from the message."""
 
     shift: Shift
@@ -55,7 +55,7 @@ class BuiltPath(NamedTuple):
     """None also for a message without poses."""
 
 
-_newest: tuple[Request, Array, Path] | None = None
+_newest: tuple[PathRequest, Array, Path] | None = None
 
 
 def header_of(data: bytes) -> tuple[int, str]:
@@ -80,7 +80,7 @@ def prepare() -> None:
     make_path([(checks.MAX_GAP * i, 0.1 * i * i) for i in range(20)])
 
 
-def build(data: Any, request: Request) -> BuiltPath:
+def build_path(data: Any, request: PathRequest) -> BuiltPath:
     """Build a path from a serialised message.
 
     Args:

@@ -6,7 +6,7 @@ from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.parameters import FRICTION_SHARE
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import InternalModel
-from ampc_ros.mpc.model import Vehicle
+from ampc_ros.mpc.model import BicycleParameters
 from ampc_ros.mpc.small_matrices import Scratch, vector
 from ampc_ros.preview.model import angle_bound, road_steering
 
@@ -44,7 +44,7 @@ def nominal_steering(
     therefore feasible by construction and leaves the rest of the increment to the correction.
 
     Args:
-        model: Vehicle and limits.
+        model: BicycleParameters and limits.
         road: Speed and curvature along the horizon.
         u: Angle in force [rad].
         nominal: Receives the angles (H,) [rad].
@@ -66,7 +66,7 @@ def nominal_steering(
 
 
 @in_place
-def demanded_angles(vehicle: Vehicle, road: Road, T: float, angles: Array) -> None:
+def demanded_angles(vehicle: BicycleParameters, road: Road, T: float, angles: Array) -> None:
     """Fill the angles that keep the car on the path, from the road behind to the horizon's end.
 
     Args:
@@ -115,7 +115,7 @@ def limit_rate(angles: Array, step: float, pressure: Array) -> None:
 
 
 @in_place
-def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
+def road_angle(vehicle: BicycleParameters, road: Road, i: int, T: float) -> float:
     """Return the angle that keeps the car on the path at entry i, in [-H, H] [rad].
 
     The rate of change of the curvature is that over `CHANGE_TIME`: over a shorter time it would

@@ -23,7 +23,7 @@ from ampc_msgs_config.types import (
 from ampc_ros.supervision.fallback import OFF_PATH
 from ampc_ros.supervision.supervisor import Supervisor
 
-ROUGH = 0.03
+ROUGH_PATH = 0.03
 """Noise of a path that raises a warning [m]."""
 
 
@@ -68,7 +68,7 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         stop = ": a stop is requested" if end.is_due else " at this speed"
         text = f"reference_path ends in {end.remaining:.0f} m, within the braking distance{stop}"
         conditions.append(Health(WARN, text))
-    if noise > ROUGH:
+    if noise > ROUGH_PATH:
         conditions.append(Health(WARN, f"path noise {100 * noise:.1f} cm"))
 
     # The command comes from a fallback, or was clipped, or the mode is not normal.

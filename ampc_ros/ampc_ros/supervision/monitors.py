@@ -25,7 +25,7 @@ WARNING_TIME = 1.0
 """Time of the warning before a stop request at the end of the path [s]."""
 CRAWL = 1.5
 """Speed below which a car that has not passed the end of its path needs no request [m/s]."""
-ACCELERATION_GAIN = 0.3
+SPEED_CHANGE_SHARE = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration."""
 RESUME_TIME = 2.0
 """Time of complete inputs after which a stop request due to missing ones may be withdrawn [s]."""
@@ -132,7 +132,7 @@ class PathEndMonitor:
         v, elapsed = motion.v_x, self.clock.elapsed(motion)
         if elapsed > 0.0:
             change = (v - self.v_x) / elapsed
-            self.acceleration += ACCELERATION_GAIN * (change - self.acceleration)
+            self.acceleration += SPEED_CHANGE_SHARE * (change - self.acceleration)
         self.remaining, self.v_x = remaining, v
         if deceleration == math.inf:
             return

@@ -33,8 +33,6 @@ MAX_BLENDED = 0.3
 SAME_END = 1.0
 """Distance within which two ends of paths are the same place [m]."""
 
-Indices = NDArray[np.int64]
-
 
 class Location(NamedTuple):
     """Position of the car relative to its path."""
@@ -97,13 +95,13 @@ class PathProgress:
         if self.tracker is None or self.source is None:
             self.tracker = Progress(source)
         elif source is not self.source:
-            s, before = errors(self.tracker, car)
+            s, before = advance_errors(self.tracker, car)
             entry = continued(self.tracker.path, s, source, car)
             self.tracker = Progress(source._replace(entry=entry))
         elif renew and self.tracker.index != self.tracker.path.entry:
             self.tracker = Progress(source._replace(entry=self.tracker.index))
         self.source = source
-        s, error = errors(self.tracker, car)
+        s, error = advance_errors(self.tracker, car)
         step = 0.0 if before is None else error - before
         self.blend(step, car.stamp_ns)
         return Location(self.tracker.path, s, error, step, self.blended)
@@ -125,13 +123,13 @@ class PathProgress:
             self.blended = 0.0
 
 
-def errors(tracker: Progress, car: VehicleState) -> tuple[float, float]:
+def advance_errors(tracker: Progress, car: VehicleState) -> tuple[float, float]:
     """Return arc length and cross-track error of a state [m]; store the progress."""
     s = tracker.advance(car.x, car.y, car.yaw)
     return s, errors_at(tracker.path, s, car.x, car.y, car.yaw)[0]
 
 
-def candidates(path: Path, car: VehicleState) -> Indices:
+def candidates(path: Path, car: VehicleState) -> NDArray[np.int64]:
     """Return the samples nearest to the car on each branch near it, in the car's direction.
 
     Branches that lead the other way are ignored unless all do.
@@ -164,7 +162,7 @@ def continued(old: Path, s: float, new: Path, car: VehicleState) -> int:
     if len(places) == 1:
         return int(places[0])
     arc = np.multiply(places, new.spacing, dtype=np.float64)
-    difference = differences(old, s, new, arc)
+    difference = branch_differences(old, s, new, arc)
     similar = places[difference <= difference.min() + SIMILAR]
     expected = expected_progress(old, s, new)
     if expected is None:
@@ -172,7 +170,7 @@ def continued(old: Path, s: float, new: Path, car: VehicleState) -> int:
     return int(similar[np.argmin(np.abs(similar * new.spacing - expected))])
 
 
-def differences(old: Path, s: float, new: Path, places: Array) -> Array:
+def branch_differences(old: Path, s: float, new: Path, places: Array) -> Array:
     """Return the RMS distance of branches of a new path from the driven path (n,) [m].
 
     Args:

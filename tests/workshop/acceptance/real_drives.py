@@ -24,7 +24,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.workshop.acceptance.real_roads import Road
 
 LATERAL, LONGITUDINAL = 4.0, 2.0
@@ -119,7 +119,7 @@ def drive(
     path, supervisor = road.path, Supervisor(config)
     profile = speed_profile(road, setup.speed)
     start = float(profile.speed[0]) if abs(path.curvature[0]) < SUDDEN else SLOW
-    car = Car(load_vehicle(find("vehicles", setup.car)), road.start, start)
+    car = Car(load_vehicle_file(find("vehicles", setup.car)), road.start, start)
     progress, target, rejected, unsolved = Progress(path), start, 0, 0
     rows: list[tuple[float, float, float]] = []
     stands = False

@@ -17,7 +17,7 @@ from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import Array
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.workshop.acceptance.trials import DATA
 
 SPACING = 0.25
@@ -123,7 +123,7 @@ def _points(name: str) -> tuple[Array, bool]:
         case "straight":
             return np.column_stack((along, 0 * along)), False
         case "sc1":
-            size = load_vehicle(find("vehicles", "paper")).size
+            size = load_vehicle_file(find("vehicles", "paper")).size
             return load_scenario("sc1", size).points, False
         case "circle":
             angle = np.linspace(0.0, math.tau, round(math.tau * RADIUS / FINE), endpoint=False)
