@@ -15,6 +15,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, Progress, errors_at
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_ros.supervision.path_fusion import MAX_BLENDED, extended, fused, samples_at
 
 GATE = 5.0
 """A branch is a candidate if it is at most this much farther away than the nearest one [m]."""
@@ -28,8 +29,6 @@ SIMILAR = 0.3
 """Branches whose differences from the driven one differ by less are equally good [m]."""
 BLEND_TIME = 0.5
 """Time constant with which a small shift of a new path reaches the controllers [s]."""
-MAX_BLENDED = 0.3
-"""Shift of a path from which the controllers follow it at once [m]."""
 SAME_END = 1.0
 """Distance within which two ends of paths are the same place [m]."""
 
@@ -68,7 +67,7 @@ class PathProgress:
         self.source: Path | None = None
         self.tracker: Progress | None = None
         self.blended = 0.0
-        self.stamp_ns = 0
+        self.stamp_ns = self.path_ns = 0
 
     def relocate(self, car: VehicleState) -> None:
         """Continue after a jump of the position, on the nearest branch that is next in progress."""
@@ -94,12 +93,19 @@ class PathProgress:
         before = None
         if self.tracker is None or self.source is None:
             self.tracker = Progress(source)
+            s = self.tracker.advance(car.x, car.y, car.yaw)
+            if s < 0.0 and not source.closed:
+                self.tracker = Progress(extended(source, s))
+            self.path_ns = car.stamp_ns
         elif source is not self.source:
             s, before = advance_errors(self.tracker, car)
-            entry = continued(self.tracker.path, s, source, car)
-            self.tracker = Progress(source._replace(entry=entry))
+            joining = Progress(source._replace(entry=continued(self.tracker.path, s, source, car)))
+            elapsed = max(car.stamp_ns - self.path_ns, 0) / NANOSECONDS
+            s_new = joining.advance(car.x, car.y, car.yaw)
+            self.tracker = Progress(fused(self.tracker.path, s, source, s_new, elapsed))
+            self.path_ns = car.stamp_ns
         elif renew and self.tracker.index != self.tracker.path.entry:
-            self.tracker = Progress(source._replace(entry=self.tracker.index))
+            self.tracker = Progress(self.tracker.path._replace(entry=self.tracker.index))
         self.source = source
         s, error = advance_errors(self.tracker, car)
         step = 0.0 if before is None else error - before
@@ -180,24 +186,14 @@ def branch_differences(old: Path, s: float, new: Path, places: Array) -> Array:
         places: Arc lengths of the branches (n,) [m].
     """
     offsets = np.arange(-BEHIND, AHEAD + STEP / 2, STEP, dtype=np.float64)
-    x, y, heading, exists = places_at(old, s + offsets)
-    new_x, new_y, _, new_exists = places_at(new, places[:, None] + offsets)
-    dx, dy = new_x - x, new_y - y
-    across = dy * np.cos(heading) - dx * np.sin(heading)
-    along = dx * np.cos(heading) + dy * np.sin(heading)
-    compared = exists & new_exists
+    driven, branch = samples_at(old, s + offsets), samples_at(new, places[:, None] + offsets)
+    dx, dy = branch.x - driven.x, branch.y - driven.y
+    cos, sin = np.cos(driven.heading), np.sin(driven.heading)
+    across, along = dy * cos - dx * sin, dx * cos + dy * sin
+    compared = driven.exists & branch.exists
     squares = np.where(compared, across**2 + (ALONG_WEIGHT * along) ** 2, 0.0)
     count = compared.sum(axis=1)
     return np.asarray(np.sqrt(squares.sum(axis=1) / np.maximum(count, 1)) + GATE * (count == 0))
-
-
-def places_at(path: Path, s: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return x, y [m], heading [rad] of the samples at arc lengths, and whether they exist."""
-    last = len(path.x) - 1
-    i = np.rint(s / path.spacing).astype(np.int64)
-    exists = np.ones(i.shape, bool) if path.closed else (i >= 0) & (i <= last)
-    i = i % last if path.closed else np.clip(i, 0, last)
-    return path.x[i], path.y[i], path.heading[i], exists
 
 
 def expected_progress(old: Path, s: float, new: Path) -> float | None:
