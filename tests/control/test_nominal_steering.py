@@ -156,11 +156,13 @@ def test_mirrored_roads_have_mirrored_angles(road: Road, model: InternalModel, u
 def test_demand_below_the_share_is_followed_bit_for_bit(seed: int, u: float, car: str) -> None:
     road, model = any_road(seed, "smooth"), model_of(car)
     vehicle, T = model.vehicle, model.limits.T
-    expected, offset = [], u - road_angle(vehicle, road, 0, T)
+    expected, offset = [], u - road_angle(vehicle, road, 0, T, 0)
     for i in range(1, len(road.speed)):
         a_y = FRICTION_SHARE * model.limits.mu_g
         bound = angle_bound(vehicle, road.speed[i], model.limits.u_max, a_y)
-        expected.append(min(max(offset + road_angle(vehicle, road, i, T), -bound), bound))
+        expected.append(
+            min(max(offset + road_angle(vehicle, road, i, T, -len(road.behind)), -bound), bound)
+        )
     np.testing.assert_array_equal(nominal_of(model, road, u).angles, expected)
 
 

@@ -77,7 +77,9 @@ def demanded_angles(vehicle: BicycleParameters, road: Road, T: float, angles: Ar
     """
     now = len(road.behind)
     for i in range(len(angles)):
-        angles[i] = road_angle(vehicle, road, i - now, T)
+        angles[i] = road_angle(vehicle, road, i - now, T, -now)
+    # The angle in force is held until the next tick: it belongs to the change over that tick
+    angles[now] = road_angle(vehicle, road, 0, T, 1 - change_ticks(T))
 
 
 @in_place
@@ -115,17 +117,29 @@ def limit_rate(angles: Array, step: float, pressure: Array) -> None:
 
 
 @in_place
-def road_angle(vehicle: BicycleParameters, road: Road, i: int, T: float) -> float:
+def road_angle(vehicle: BicycleParameters, road: Road, i: int, T: float, first: int) -> float:
     """Return the angle that keeps the car on the path at entry i, in [-H, H] [rad].
 
     The rate of change of the curvature is that over `CHANGE_TIME`: over a shorter time it would
     contain the steps of a curvature that is interpolated between samples of the path.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        road: Speed and curvature.
+        i: Entry.
+        T: Step [s].
+        first: Earliest entry that is used.
     """
-    reach = max(round(CHANGE_TIME / (2.0 * T)), 1)
-    first, last = -len(road.behind), len(road.curvature) - 1
+    reach, last = change_ticks(T), len(road.curvature) - 1
     before, after = max(i - reach, first), min(i + reach, last)
     change = (curvature_at(road, after) - curvature_at(road, before)) / ((after - before) * T)
     return road_steering(vehicle, road.speed[max(i, 0)], curvature_at(road, i), change)
+
+
+@inlined
+def change_ticks(T: float) -> int:
+    """Return half of `CHANGE_TIME` in steps of T [s]."""
+    return max(round(CHANGE_TIME / (2.0 * T)), 1)
 
 
 @inlined

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config.paths.path import Path, project_near
 from ampc_msgs_config.types import Array
 
-FUSION_TIME = 0.4
+FUSION_TIME = 0.8
 """Time constant of the average of successive paths [s]."""
 MAX_BLENDED = 0.3
 """Distance of two paths near the car from which the new one replaces the old one at once [m]."""
