@@ -51,8 +51,11 @@ def samples_at(path: Path, s: Array) -> Samples:
     at = at % last if path.closed else np.clip(at, 0.0, last)
     i = np.minimum(at.astype(np.int64), last - 1)
     t = at - i
-    columns = (path.x, path.y, path.heading, path.curvature)
-    return Samples(*(each[i] + t * (each[i + 1] - each[i]) for each in columns), exists)
+    x, y, heading, curvature = (
+        each[i] + t * (each[i + 1] - each[i])
+        for each in (path.x, path.y, path.heading, path.curvature)
+    )
+    return Samples(x, y, heading, curvature, exists)
 
 
 def fused(old: Path, s_old: float, new: Path, s_new: float, elapsed: float) -> Path:
@@ -72,13 +75,13 @@ def fused(old: Path, s_old: float, new: Path, s_new: float, elapsed: float) -> P
     first, stop = here - reach, here + reach
     if not new.closed:
         first, stop = max(first, 0), min(stop, len(new.x))
-    count = np.arange(first, stop)
-    driven = samples_at(old, origin + new.spacing * count)
+    count = np.arange(first, stop, dtype=np.int64)
+    driven = samples_at(old, np.add(origin, new.spacing * count, dtype=float))
     path = average(new, count, here, driven, math.exp(-elapsed / FUSION_TIME))
     return extended(path, s_new, old, origin)
 
 
-def average(new: Path, count: Array, here: int, old: Samples, share: float) -> Path:
+def average(new: Path, count: NDArray[np.int64], here: int, old: Samples, share: float) -> Path:
     """Return a new path of which a part is averaged with the driven one.
 
     Args:
@@ -97,7 +100,7 @@ def average(new: Path, count: Array, here: int, old: Samples, share: float) -> P
         return new
     ends = np.flatnonzero(old.exists)[[0, -1]]
     inside = np.minimum(along - along[ends[0]], along[ends[1]] - along)
-    if ends[0] == 0 and not new.closed:
+    if count[ends[0]] == 0 and not new.closed:
         inside = along[ends[1]] - along  # the driven path continues it backwards
     weight = share * np.clip(inside / FADE, 0.0, 1.0) * old.exists
     shift = weight * across
@@ -130,10 +133,11 @@ def extended(path: Path, s: float, old: Path | None = None, origin: float = 0.0)
         return path._replace(entry=entry)
     first = max(min(round(START / path.spacing), len(path.x) - 1), 1)
     bend = (path.heading[first] - path.heading[0]) / (first * path.spacing)
-    curvature = np.full(missing, bend)
+    curvature: Array = np.full(missing, bend)
     if old is not None:
-        behind = samples_at(old, origin - path.spacing * np.arange(missing, 0, -1))
-        curvature = np.where(behind.exists, behind.curvature, bend)
+        offsets: Array = path.spacing * np.arange(missing, 0, -1, dtype=np.float64)
+        behind = samples_at(old, origin - offsets)
+        curvature = np.asarray(np.where(behind.exists, behind.curvature, bend))
     after = np.append(curvature[1:], path.curvature[0])
     steps = path.spacing * (curvature + after) / 2
     heading = path.heading[0] - np.cumsum(steps[::-1])[::-1]
