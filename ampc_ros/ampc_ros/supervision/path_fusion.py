@@ -102,13 +102,13 @@ def average(new: Path, count: NDArray[np.int64], here: int, old: Samples, share:
     inside = np.minimum(along - along[ends[0]], along[ends[1]] - along)
     if count[ends[0]] == 0 and not new.closed:
         inside = along[ends[1]] - along  # the driven path continues it backwards
-    weight = share * np.clip(inside / FADE, 0.0, 1.0) * old.exists
+    t = np.clip(inside / FADE, 0.0, 1.0)
+    weight = share * t * t * (3.0 - 2.0 * t) * old.exists
     shift = weight * across
-    turn = weight * ((old.heading - heading + math.pi) % (2 * math.pi) - math.pi)
     x, y, headings, curvature = (np.array(each) for each in new[1:5])
     x[i] -= shift * np.sin(heading)
     y[i] += shift * np.cos(heading)
-    headings[i] += turn + across * np.gradient(weight, new.spacing)
+    headings[i] += np.gradient(shift, new.spacing)
     curvature[i] += weight * (old.curvature - curvature[i])
     if new.closed:
         for each in (x, y, curvature):
