@@ -211,6 +211,8 @@ class Supervisor:
         Raises:
             ValueError: The state contradicts the earlier ones; the last valid one is kept.
         """
+        if self._path is None:  # a car may wait at its start, with the speed that it will have
+            self._filter.reset()
         verdict = self._filter.accept(state, now_ns)
         if not verdict.accepted:
             raise ValueError(verdict.reason)
