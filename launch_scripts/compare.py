@@ -42,7 +42,7 @@ from launch_scripts.run.options import (
     naming,
 )
 from sim_vehicle.car import CAR_RANGES
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 PAPERS = ("sc1", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sc3_fast_wind", "sc1_falcone")
 """Roads of the paper and those derived from them, which are driven first."""
@@ -166,7 +166,7 @@ def scenarios_of(options: argparse.Namespace, conditions: Conditions) -> list[Sc
     Raises:
         ValueError: Names the invalid or repeated entry.
     """
-    size, scenarios = load_vehicle(find("vehicles", conditions.vehicle)).size, []
+    size, scenarios = load_vehicle_file(find("vehicles", conditions.vehicle)).size, []
     for text in options.scenarios:
         scenario, path = ("", text) if text.endswith(".csv") else (text, "")
         with naming(f"scenarios {text}"):

@@ -10,14 +10,14 @@ from ampc_ros.configuration import CONTROLLERS, Choices, configuration
 from ampc_ros.controller import make_controller
 from ampc_ros.supervision.warm_up import warm_up
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 
 def main() -> int:
     """Drive a moment with every controller; the machine code is stored in the user's cache."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     begin = time.monotonic()
-    vehicle = load_vehicle(find("vehicles", Choices().vehicle))
+    vehicle = load_vehicle_file(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)
     for name in CONTROLLERS:
         choices = Choices(controller=name)

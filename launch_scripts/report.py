@@ -85,9 +85,9 @@ def judge_bags(options: argparse.Namespace) -> list[JudgedDrive]:
         if thresholds == Thresholds():
             raise ValueError(f"{options.thresholds}: contains no threshold")
     if options.vehicle:
-        from sim_vehicle.parameters import load_vehicle  # loads scenarios and wind
+        from sim_vehicle.parameters import load_vehicle_file  # loads scenarios and wind
 
-        vehicle = load_vehicle(find("vehicles", options.vehicle))
+        vehicle = load_vehicle_file(find("vehicles", options.vehicle))
     return [
         judge_bag(bag, name, options.namespace, vehicle, thresholds)
         for bag, name in zip(options.bags, names_of(options.bags), strict=True)

@@ -22,7 +22,7 @@ from tests.ros_nodes import add, spin_until
 from tests.waiting import SCALE
 
 CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])
-LOST_ANSWER = 5.0 * SCALE
+LOST_ANSWER = 15.0 * SCALE
 """Wall time after which a service is called again [s]."""
 OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
 
@@ -74,8 +74,8 @@ class Driver(Node):
         """Store a configuration."""
         self.config.append(message.data)
 
-    def answer(self, client: Any, request: Any) -> Any:
-        """Call a service and return its response.
+    def answer(self, client: Any, request: Any, *, driving: bool = False) -> Any:
+        """Call a service and return its response; the car drives on meanwhile where that is asked.
 
         A node that has not discovered the client yet drops its response. After some time the
         service is called again, by a new client.
@@ -86,6 +86,8 @@ class Driver(Node):
 
         def is_answered() -> bool:
             nonlocal until
+            if driving:
+                self.drive()
             if time.monotonic() > until:
                 anew = self.create_client(client.srv_type, client.srv_name)
                 futures.append(anew.call_async(request))

@@ -10,10 +10,12 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc import active_set as exact_solver
 from ampc_ros.mpc import constraints, hildreth, laguerre, model, prediction
 from ampc_ros.mpc.active_set import active_set_numbers
+from ampc_ros.mpc.descent import descend, feasible_start, relaxed_rows
 from ampc_ros.mpc.internal_model import Actuator
-from ampc_ros.mpc.model import STATES, Vehicle
-from ampc_ros.mpc.qp import SOLVED, Qp
-from ampc_ros.mpc.small_matrices import Scratch, make_scratch
+from ampc_ros.mpc.model import STATES, BicycleParameters
+from ampc_ros.mpc.qp import INFEASIBLE, SOLVED, Qp, nearest_point
+from ampc_ros.mpc.small_matrices import Scratch, backward, make_scratch, vector
+from ampc_ros.mpc.working_set import no_active_rows
 from ampc_ros.preview import model as preview_model
 from ampc_ros.preview.model import SampledModel
 
@@ -53,7 +55,7 @@ def running_sum(L: Array) -> Array:
     return S
 
 
-def lateral_dynamics(vehicle: Vehicle, v_x: float) -> tuple[Array, Array]:
+def lateral_dynamics(vehicle: BicycleParameters, v_x: float) -> tuple[Array, Array]:
     """Return A_c (4, 4) and B_c (4,)."""
     A, B = np.zeros((4, 4)), np.zeros(4)
     model.lateral_dynamics(vehicle, v_x, A, B)
@@ -68,7 +70,7 @@ def exponential_integrals(D: Array, T: float) -> Array:
 
 
 def zero_order_hold(
-    vehicle: Vehicle, v_x: float, T: float, lag: float = 0.0
+    vehicle: BicycleParameters, v_x: float, T: float, lag: float = 0.0
 ) -> tuple[Array, Array]:
     """Return A_k (5, 5) and B (5,)."""
     A, B = np.zeros((STATES, STATES)), np.zeros(STATES)
@@ -98,7 +100,9 @@ def quadratic_cost(Phi: Array, error: Array, L: Array, Q: float, R: float) -> tu
     return E, K
 
 
-def sampled_model(vehicle: Vehicle, v_x: float, T: float, actuator: Actuator) -> SampledModel:
+def sampled_model(
+    vehicle: BicycleParameters, v_x: float, T: float, actuator: Actuator
+) -> SampledModel:
     """Return the model of one step of T [s]."""
     blank = SampledModel(np.full((STATES, STATES), np.nan), *np.zeros((3, STATES)))
     preview_model.sample_model(vehicle, v_x, T, actuator, blank, make_scratch(ENOUGH))
@@ -134,6 +138,29 @@ def active_set(qp: Qp) -> QpSolution:
     memory = solver_memory(*qp.M.shape)
     iterations, status = solve_in(tuple(qp), memory)
     return QpSolution(memory[0], memory[1], iterations, status)
+
+
+@in_place
+def descend_in(qp: tuple[Array, ...], x: Array, numbers: Array, used: NDArray[np.int64]) -> int:
+    """Solve a QP that x = 0 satisfies with `descent` alone; return the status."""
+    problem, scratch = Qp(*qp), Scratch(numbers, used)
+    n = len(x)
+    task = nearest_point(problem, scratch)
+    active, w = no_active_rows(len(problem.low), n, scratch), vector(scratch, n)
+    unit = relaxed_rows(problem, task, scratch)
+    if not feasible_start(problem, task, unit, w):
+        return INFEASIBLE
+    _, status = descend(problem, task, unit, active, w, vector(scratch, n))
+    backward(task.C, w, n, x)
+    return int(status)
+
+
+def descent_solution(qp: Qp) -> tuple[Array, int]:
+    """Return the solution of the primal method and its status."""
+    m, n = qp.M.shape
+    x = np.zeros(n)
+    status = descend_in(tuple(qp), x, *make_scratch(active_set_numbers(m, n)))
+    return x, status
 
 
 def hildreth_solution(qp: Qp, sweeps: int, tolerance: float) -> QpSolution:

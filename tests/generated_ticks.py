@@ -17,13 +17,13 @@ from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 CASES = 240
 TICKS = 3
 WIDTH = 200
 """Numbers of a tick that are compared, filled up with zeros."""
-CARS = [load_vehicle(find("vehicles", name)) for name in ("paper", "ordinary")]
+CARS = [load_vehicle_file(find("vehicles", name)) for name in ("paper", "ordinary")]
 
 
 class Case(NamedTuple):

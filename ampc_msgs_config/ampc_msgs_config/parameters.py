@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, fields
 from itertools import pairwise
 from typing import Annotated
 
-from ampc_msgs_config.validation import Checked, choice, number
+from ampc_msgs_config.validation import Checked, choice, described, number
 
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2]."""
@@ -112,6 +112,22 @@ class ControllerSettings(Checked):
     ] = 0.9
     path_lost: Annotated[
         float, number(0.0, 3600.0, "s", "Age of the path that requests a stop.")
+    ] = 2.0
+    resume: Annotated[
+        bool, described("Withdraw a stop request 2 s after missing inputs have returned.")
+    ] = False
+    max_deviation: Annotated[
+        float,
+        number(0.1, math.inf, "m", "Cross-track error that requests a stop; .inf: none does."),
+    ] = 1.0
+    end_deceleration: Annotated[
+        float,
+        number(
+            0.1,
+            math.inf,
+            "m/s^2",
+            "Braking on a stop request, made in time for the path's end; .inf: no request there.",
+        ),
     ] = 2.0
     path_noise: Annotated[
         float,

@@ -35,7 +35,7 @@ ODOM_FIELDS = (
 """Message fields of the numbers of a VehicleState after its stamp."""
 MAX_STEERING = math.pi / 2
 """Greatest accepted road-wheel angle [rad]."""
-MAX_SPEED = 100.0
+MAX_TARGET_SPEED = 100.0
 """Greatest accepted target speed [m/s]."""
 
 
@@ -69,11 +69,11 @@ def nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
-def odometry_message(state: VehicleState) -> Odometry:
-    """Pack a state: pose in `map`, twist in `base_link`."""
+def odometry_message(state: VehicleState, frame_id: str = MAP) -> Odometry:
+    """Pack a state: pose in a fixed frame, twist in `base_link`."""
     message = Odometry()
     message.header.stamp = time_message(state.stamp_ns)
-    message.header.frame_id, message.child_frame_id = MAP, BASE_LINK
+    message.header.frame_id, message.child_frame_id = frame_id, BASE_LINK
     message.pose.pose.position.x, message.pose.pose.position.y = state.x, state.y
     q = message.pose.pose.orientation
     q.z, q.w = quaternion_from_yaw(state.yaw)
@@ -83,13 +83,13 @@ def odometry_message(state: VehicleState) -> Odometry:
 
 
 def vehicle_state(message: Odometry) -> VehicleState:
-    """Unpack a state.
+    """Unpack a state, in any fixed frame.
 
     Raises:
-        ValueError: Another frame than `map`, a number that is not finite, or a quaternion far from
-            unit length; with the field's name, its value and the bound.
+        ValueError: No frame, a number that is not finite, or a quaternion far from unit length;
+            with the field's name, its value and the bound.
     """
-    require_map("odom: header", message.header.frame_id)
+    require_frame("odom", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
     low, high = QUATERNION_LENGTH
     if not low * low <= q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w <= high * high:
@@ -111,16 +111,16 @@ def vehicle_state(message: Odometry) -> VehicleState:
     return state
 
 
-def require_map(where: str, frame_id: str) -> None:
-    """Raise a ValueError unless a frame is `map`."""
-    if frame_id != MAP:
-        raise ValueError(f"{where}.frame_id = {frame_id!r} must be {MAP!r}")
+def require_frame(topic: str, frame_id: str) -> None:
+    """Raise a ValueError unless a message names its frame."""
+    if not frame_id:
+        raise ValueError(f"{topic}: header.frame_id = '' must name the fixed frame")
 
 
-def path_message(points: Array, stamp_ns: int) -> Path:
-    """Pack points (n, 2) in `map` [m], each oriented towards the next."""
+def path_message(points: Array, stamp_ns: int, frame_id: str = MAP) -> Path:
+    """Pack points (n, 2) in a fixed frame [m], each oriented towards the next."""
     message = Path()
-    message.header.frame_id, message.header.stamp = MAP, time_message(stamp_ns)
+    message.header.frame_id, message.header.stamp = frame_id, time_message(stamp_ns)
     steps = np.diff(points, axis=0, append=2 * points[-1:] - points[-2:-1])
     for (x, y), (dx, dy) in zip(points.tolist(), steps.tolist(), strict=True):
         pose = PoseStamped()
@@ -132,17 +132,22 @@ def path_message(points: Array, stamp_ns: int) -> Path:
 
 
 def path_points(message: Path) -> list[tuple[float, float]]:
-    """Unpack the positions of a path [m].
+    """Unpack the positions of a path, in any fixed frame [m].
 
     Raises:
-        ValueError: The frame of the path or of a pose is not `map`, or a position is not finite;
-            with the field's name, its value and the bound.
+        ValueError: No frame, a pose in another frame than the path, or a position that is not
+            finite; with the field's name, its value and the bound.
     """
-    require_map("reference_path: header", message.header.frame_id)
+    frame_id = message.header.frame_id
+    require_frame("reference_path", frame_id)
     points = []
     for i, pose in enumerate(message.poses):
-        if pose.header.frame_id:  # usually empty
-            require_map(f"reference_path: poses[{i}].header", pose.header.frame_id)
+        if pose.header.frame_id not in ("", frame_id):  # empty: that of the path
+            where = f"reference_path: poses[{i}].header.frame_id"
+            raise ValueError(
+                f"{where} = {pose.header.frame_id!r} must be empty or {frame_id!r}, as in the "
+                "header of the path"
+            )
         x, y = pose.pose.position.x, pose.pose.position.y
         if not (math.isfinite(x) and math.isfinite(y)):
             name, value = ("y", y) if math.isfinite(x) else ("x", x)
@@ -164,11 +169,11 @@ def target_speed(message: TwistStamped) -> Stamped:
     """Unpack a target speed [m/s].
 
     Raises:
-        ValueError: The speed is not in [0, MAX_SPEED].
+        ValueError: The speed is not in [0, MAX_TARGET_SPEED].
     """
     speed = message.twist.linear.x
-    if not 0.0 <= speed <= MAX_SPEED:
-        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_SPEED:g}] m/s")
+    if not 0.0 <= speed <= MAX_TARGET_SPEED:
+        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_TARGET_SPEED:g}] m/s")
     return Stamped(nanoseconds(message.header.stamp), speed)
 
 

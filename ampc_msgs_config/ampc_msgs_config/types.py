@@ -65,8 +65,10 @@ REASONS = (
     "off_path",
     "wrong_way",
     "driving_backwards",
+    "path_end",
 )
-"""Why a command is not the optimal solution."""
+"""Why a command is not the optimal solution, or why a stop is requested. Recordings hold the index:
+new reasons are appended."""
 
 LIMITS = (
     "none",

@@ -3,6 +3,7 @@
 It is published as YAML on a latched topic, and so is part of every recording.
 """
 
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -174,8 +175,14 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
 
     Raises:
         ValueError: Source, key, value and bound.
+
+    Note:
+        A recording without `end_deceleration` is older than that monitor, and is repeated
+        without it. All other missing keys have their defaults.
     """
     content, number = read_document(text, where)
+    if isinstance(settings := content.get("settings"), dict):
+        settings.setdefault("end_deceleration", math.inf)
     config = build(Configuration, content, where)
     try:
         check_controller_name(config.controller)

@@ -44,12 +44,22 @@ class Outputs:
         for each in (*self.debug, *others):
             self.node.destroy_publisher(each)
 
-    def publish_configuration(self, supervisor: Supervisor) -> None:
-        """Publish the configuration of the controller."""
-        self.configurations.publish(String(data=to_yaml(supervisor.config, supervisor.number)))
+    def publish_configuration(self, supervisor: Supervisor, text: str = "") -> None:
+        """Publish the configuration of the controller.
+
+        Args:
+            supervisor: Supervisor with the configuration.
+            text: Result of `to_yaml`; empty: it is written here.
+        """
+        text = text or to_yaml(supervisor.config, supervisor.number)
+        self.configurations.publish(String(data=text))
 
     def publish_tick(
-        self, record: TickRecord, timing: Sequence[float], account: Sequence[float]
+        self,
+        record: TickRecord,
+        timing: Sequence[float],
+        account: Sequence[float],
+        frame_id: str = ros.MAP,
     ) -> None:
         """Publish a command and its tick record.
 
@@ -57,6 +67,7 @@ class Outputs:
             record: Record of this tick.
             timing: Solve time and lateness of the timer [s].
             account: Numbers of ACCOUNT.
+            frame_id: Fixed frame of path and odometry.
         """
         command, plan = record.command, record.command.plan
         self.newest = ros.steering_message(command)
@@ -68,7 +79,8 @@ class Outputs:
             if publisher.get_subscription_count():
                 publisher.publish(Float64(data=float(value)))
         if plan.prediction is not None and self.predictions.get_subscription_count():
-            self.predictions.publish(ros.path_message(plan.prediction, command.stamp_ns))
+            message = ros.path_message(plan.prediction, command.stamp_ns, frame_id)
+            self.predictions.publish(message)
 
     def repeat(self) -> None:
         """Publish the newest command once more."""

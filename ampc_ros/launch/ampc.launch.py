@@ -48,6 +48,7 @@ ARGUMENTS = {
     "guard": ("road", f"limits of every command: {file_or('guards')}"),
     "static_path": ("true", "the path is published once and does not grow old"),
     "base_link_to_cg": ("-1.0", "distance from odom to the centre of gravity [m]; -1: rear axle"),
+    "fixed_frame": ("", "frame of path and odom; empty: that of the first odom"),
     "friction": ("-1.0", "friction of the road; -1: that of the tyres"),
     "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
@@ -79,6 +80,7 @@ CONTROL = (
     "guard",
     "static_path",
     "base_link_to_cg",
+    "fixed_frame",
 )
 
 
@@ -96,7 +98,7 @@ def generate_launch_description() -> LaunchDescription:
     record = parameters("output") | {"use_sim_time": parameter("lock_step")}
     nodes = [
         node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated),
-        node("ampc_ros", "planner", mode | parameters(*ROUTE)),
+        node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
         node("ampc_ros", "controller", mode | parameters(*CONTROL)),
         node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]

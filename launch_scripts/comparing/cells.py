@@ -18,7 +18,7 @@ from ampc_ros.controller_interface import Controller
 from launch_scripts.run.simulated import SimulatedDrive
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.measurement import measured
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 TIE = 0.005
 """Relative difference below which two numbers count as equal; three digits are displayed."""
@@ -137,7 +137,7 @@ def controller_of(contender: Contender, conditions: Conditions) -> Controller:
 
 def build_simulation(conditions: Conditions, scenario: Scenario) -> TrueStateSimulation:
     """Build the simulated car; its noise starts with the same seed in every cell."""
-    vehicle = load_vehicle(find("vehicles", conditions.vehicle))
+    vehicle = load_vehicle_file(find("vehicles", conditions.vehicle))
     steering = replace(vehicle.steering, delay=vehicle.steering.delay + conditions.delay)
     noise = conditions.noise
     return TrueStateSimulation(

@@ -118,13 +118,12 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
     Raises:
         ValueError: The message is invalid without any fault.
     """
+    stamp_ns, frame_id = ros.nanoseconds(message.header.stamp), message.header.frame_id
     if topic == ODOM_INPUT:
-        value: Any = ros.vehicle_state(message)
-    elif topic == PATH:
-        value = np.array(ros.path_points(message))
-    else:
-        value = ros.steering_angle(message).value
-    return Message(topic, arrival_ns, ros.nanoseconds(message.header.stamp), value)
+        return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message), frame_id)
+    if topic == PATH:
+        return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)), frame_id)
+    return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message).value)
 
 
 def pack(message: Message) -> Any:

@@ -18,7 +18,7 @@ from ampc_msgs_config.types import Array
 from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
 from launch_scripts.reporting.panels import PALETTE, Panel, Series, events_of
 
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+CHART_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 ROW, FIRST_ROW, LEGEND = 120, 250, 50
 """Height of further rows, of the first row, of a legend with many entries [px]."""
 EVENT_ROW = 34
@@ -108,7 +108,7 @@ def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.F
 
 def line_of(series: Series, color: str, several: bool) -> go.Scatter:
     """Return a trace without points in the style of a series."""
-    dash = DASHES[series.kind % len(DASHES)] if several or series.bound else "solid"
+    dash = CHART_DASHES[series.kind % len(CHART_DASHES)] if several or series.bound else "solid"
     shape, width = "hv" if series.step else "linear", 1.2 if series.bound else 1.8
     return go.Scatter(
         name=series.label,

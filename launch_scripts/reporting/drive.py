@@ -200,6 +200,8 @@ class JudgedDrive(NamedTuple):
     """Result of each threshold that was set."""
     notes: list[str]
     """Missing or unusual data, one sentence each."""
+    path_noise: float
+    """Largest noise of the points of a reference path [m]; nan without one."""
 
     @property
     def centres(self) -> Array:
@@ -245,7 +247,7 @@ def judge_columns(
     if len(rows) < 2:
         raise ValueError(f"{columns.bag}: {len(rows)} usable states, 2 are needed")
     time, states = rows[:, 0], rows[:, 1:]
-    error = errors_of(columns, rows, context.to_cg, notes)
+    error, noise = errors_of(columns, rows, context, notes)
     valid = error[np.isfinite(error[:, 0])]
     tick = {"stop_requested": columns.values.get(topics.STOP_REQUEST, NO_POINTS), **columns.tick}
     record = DriveRecord(
@@ -262,7 +264,9 @@ def judge_columns(
     )
     metrics = measure(SUMMARY, record)
     verdicts = check_thresholds(thresholds, metrics) if thresholds else []
-    return JudgedDrive(name, columns, context, record, states, error, metrics, verdicts, notes)
+    return JudgedDrive(
+        name, columns, context, record, states, error, metrics, verdicts, notes, noise
+    )
 
 
 def missing(columns: BagColumns) -> list[str]:
@@ -292,8 +296,15 @@ def tick_rows(columns: BagColumns, notes: list[str]) -> tuple[Array, Array]:
     return rows, commands[:, 1]
 
 
-def errors_of(columns: BagColumns, rows: Array, to_cg: float, notes: list[str]) -> Array:
-    """Return the errors of each tick from the path valid at its time (n, 2); nan without a path."""
+def errors_of(
+    columns: BagColumns, rows: Array, context: RunContext, notes: list[str]
+) -> tuple[Array, float]:
+    """Return the errors of each tick from the path valid at its time (n, 2), nan without a path.
+
+    The second value is the largest noise of a path in use [m], nan without one.
+    """
+    known = context.settings.known_path_noise if context.settings else None
+    noises = [math.nan]
     time, states = rows[:, 0], states_of(rows, columns.start_ns)
     result = np.full((len(time), 2), np.nan)
     begins = [0, *(int(np.searchsorted(time, path.time)) for path in columns.paths[1:]), len(time)]
@@ -302,10 +313,12 @@ def errors_of(columns: BagColumns, rows: Array, to_cg: float, notes: list[str]) 
             continue
         part = Drive(states[begin:end], time[begin:end], time[:0])
         try:
-            result[begin:end] = errors(part, make_path(path.points), to_cg)
+            reference = make_path(path.points, known)
+            result[begin:end] = errors(part, reference, context.to_cg)
+            noises.append(reference.noise)
         except ValueError as error:
             notes.append(f"The reference path at {path.time:.1f} s is unusable: {error}.")
-    return result
+    return result, float(np.nanmax(noises)) if len(noises) > 1 else math.nan
 
 
 def run_context_of(

@@ -3,6 +3,7 @@
 import base64
 import gzip
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
@@ -210,6 +211,8 @@ def facts_of(drive: JudgedDrive) -> Iterator[tuple[str, str]]:
     chassis = context.chassis
     vehicle = chassis and f"{chassis.mass:g} kg, wheelbase {chassis.wheelbase:.4g} m"
     yield "Vehicle", vehicle or "not in the bag"
+    if not math.isnan(drive.path_noise):
+        yield "Path noise", f"{100 * drive.path_noise:.1f} cm"
     gains = columns.configuration.get("controller", {}).get("gains")
     origin = gains.get("provenance") if isinstance(gains, Mapping) else None
     if isinstance(origin, Mapping) and "command" in origin:

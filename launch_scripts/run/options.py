@@ -14,7 +14,7 @@ from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
 from ampc_ros.mpc.gain_table import load_gain_table
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 
 class Run(NamedTuple):
@@ -90,7 +90,7 @@ def controller_label(name: str) -> str:
 
 
 FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "vehicle": ("vehicles", load_vehicle),
+    "vehicle": ("vehicles", load_vehicle_file),
     "settings": ("controllers", partial(load, ControllerSettings)),
     "guard": ("guards", partial(load, GuardLimits)),
     "noise": ("noise", partial(load, MeasurementNoise)),
@@ -138,7 +138,7 @@ def prepare_run(options: argparse.Namespace) -> Run:
 
         load_faults(options.faults)
     route = Route(*(getattr(options, key) for key in Route._fields))
-    scenario = choose_scenario(route, load_vehicle(find("vehicles", options.vehicle)).size)
+    scenario = choose_scenario(route, load_vehicle_file(find("vehicles", options.vehicle)).size)
     values = {key: value for key, value in vars(options).items() if key != "output"}
     label = controller_label(options.controller)
     name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{label}"

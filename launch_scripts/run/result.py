@@ -15,7 +15,7 @@ from launch_scripts.reporting.drive import judge_columns, run_context_of
 from launch_scripts.reporting.page import write_report
 from launch_scripts.reporting.pages import terminal_table, to_json
 from launch_scripts.run.options import Run
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 
 def write_result(run: Run, ended: str) -> Table:
@@ -29,7 +29,7 @@ def write_result(run: Run, ended: str) -> Table:
         ValueError: The bag contains no drive.
     """
     options = run.options
-    vehicle = load_vehicle(find("vehicles", options["vehicle"]))
+    vehicle = load_vehicle_file(find("vehicles", options["vehicle"]))
     settings = load(ControllerSettings, find("controllers", options["settings"]))
     columns = read_columns(run.bag)
     log = drive_log(columns)

@@ -12,7 +12,7 @@ from ampc_msgs_config.types import Array
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import CustomController, make_controller
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 
 class SimulationResult(NamedTuple):
@@ -58,7 +58,7 @@ def simulate(
     Raises:
         ValueError: A name is unknown, a file is wrong, or the controller is unsuitable.
     """
-    car = load_vehicle(find("vehicles", vehicle))
+    car = load_vehicle_file(find("vehicles", vehicle))
     road, to_cg = load_scenario(scenario, car.size), car.chassis.cg_to_rear_axle
     if isinstance(controller, str):
         controller = make_controller(Choices(controller, vehicle))

@@ -17,7 +17,7 @@ from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 from launch_scripts.run.simulated import SimulatedDrive
 from sim_vehicle.closed_loop import Simulation, Steering, drive
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 
 STUDY_ROADS = {
     "sc1": "Sc1",
@@ -82,7 +82,7 @@ class DiagnosisRecorder:
 
 def plant_vehicle(switches: Switches) -> Vehicle:
     """Return the simulated car: the paper's, or parts of it from the authors' code."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     if "tyre" in switches:
         tyre = replace(vehicle.tyre, model="linear", friction=3.0, relaxation_length=0.1)
         vehicle = vehicle._replace(tyre=tyre)
@@ -109,7 +109,7 @@ def build_contender(
     name: str, fixed_speed: float, tuned: TunedGains, switches: Switches
 ) -> Steering:
     """Return a contender; its internal model is the paper's car, whatever the plant is."""
-    car = load_vehicle(find("vehicles", "paper"))
+    car = load_vehicle_file(find("vehicles", "paper"))
     settings = controller_settings(fixed_speed if name in FIXED_CONTENDERS else 0.0, switches)
     if name == "preview":
         exact = replace(settings, solver="active_set")
@@ -155,7 +155,7 @@ def drive_contender(
 def study_scenario(name: str, **changes: Any) -> Scenario:
     """Return a shipped scenario for the paper's car with some of its fields changed."""
     speed = changes.pop("speed", None)
-    size = load_vehicle(find("vehicles", "paper")).size
+    size = load_vehicle_file(find("vehicles", "paper")).size
     return load_scenario(name, size, speed)._replace(**changes)
 
 

@@ -47,7 +47,7 @@ from launch_scripts.study.pso_variants import VariantSettings
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 TUNING_ROADS = ("sc1", "sc2", "sc3_varying")
 """Gains and look-ahead are tuned on these roads; the others are held out."""
@@ -342,7 +342,7 @@ def gain_fitness(fixed: bool, roads: Sequence[str], switches: Switches) -> Calla
         scenarios = [study_scenario(name) for name in roads]
     speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
     settings = [controller_settings(speed, switches) for speed in speeds]
-    plant, chassis = plant_vehicle(switches), load_vehicle(find("vehicles", "paper")).chassis
+    plant, chassis = plant_vehicle(switches), load_vehicle_file(find("vehicles", "paper")).chassis
 
     def fitness(positions: Array) -> Array:
         result, cars = np.full(len(positions), np.inf), dict[int, list[Entry]]()

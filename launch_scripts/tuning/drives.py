@@ -9,7 +9,12 @@ import numpy as np
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.paths.curves import q
-from ampc_msgs_config.scenarios.scenario import POINT_SPACING, RUN_OUT, Scenario, SpeedProfile
+from ampc_msgs_config.scenarios.scenario import (
+    POINT_SPACING,
+    Scenario,
+    SpeedProfile,
+    run_out,
+)
 from ampc_msgs_config.scenarios.wind import Wind
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
@@ -85,7 +90,7 @@ minimise the mean squared error of a single nominal drive."""
 def lane_change(v: float) -> Scenario:
     """Return a lane change with an initial offset and a final gust, at a speed [m/s]."""
     length = math.sqrt(LANE * PEAK / min(LANE_CHANGE_ACCELERATION / v**2, CURVATURE))
-    x = np.arange(0.0, v * LANE_CHANGE_DURATION + RUN_OUT, POINT_SPACING)
+    x = np.arange(0.0, v * LANE_CHANGE_DURATION + run_out(v), POINT_SPACING)
     points = np.column_stack((x, LANE * q((x - LANE_CHANGE_START * v) / length)))
     scenario = Scenario("lane change", points, constant_speed(v), LANE_CHANGE_DURATION, (GUST,))
     return scenario._replace(start_offset=SMALL_OFFSET)
@@ -93,7 +98,7 @@ def lane_change(v: float) -> Scenario:
 
 def straight(v: float, duration: float, offset: float) -> Scenario:
     """Return a straight road; speed [m/s], duration [s], initial offset to the left [m]."""
-    x = np.arange(0.0, v * duration + RUN_OUT, POINT_SPACING)
+    x = np.arange(0.0, v * duration + run_out(v), POINT_SPACING)
     points = np.column_stack((x, np.zeros_like(x)))
     return Scenario("straight", points, constant_speed(v), duration, start_offset=offset)
 

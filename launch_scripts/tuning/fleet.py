@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.frames import as_received
-from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.paths.path_frame import PathFrame
 from ampc_msgs_config.scenarios.scenario import SpeedProfile, preview_speed
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
@@ -117,7 +117,7 @@ def path_of(roads: Roads, k: int) -> Path:
     a, b = roads.first_sample[k], roads.first_sample[k + 1]
     x, y, heading = roads.samples[0, a:b], roads.samples[1, a:b], roads.samples[2, a:b]
     curvature, closed = roads.samples[3, a:b], roads.shape[k, 1] > 0.0
-    return Path(roads.shape[k, 0], x, y, heading, curvature, closed, 0.0)
+    return Path(roads.shape[k, 0], x, y, heading, curvature, closed, 0.0, NOT_CAUGHT)
 
 
 @inlined

@@ -22,7 +22,7 @@ from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import Node, fitness
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
 """Symbols of the paper, in the order of the fields of `Gains`."""
@@ -170,7 +170,7 @@ class TuningTask(NamedTuple):
 
     def nodes(self, speeds: tuple[float, ...] | None = None) -> list[Node]:
         """Return the nodes in the order of a gain table, at its speeds or at others [m/s]."""
-        vehicle = load_vehicle(find("vehicles", self.vehicle))
+        vehicle = load_vehicle_file(find("vehicles", self.vehicle))
         return [
             Node(vehicle, self.formulation, self.kind, speed, reference)
             for speed in (self.speeds if speeds is None else speeds)

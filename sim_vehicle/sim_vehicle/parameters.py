@@ -101,7 +101,7 @@ class Vehicle(NamedTuple):
     powertrain: PowertrainParameters
 
 
-def load_vehicle(file: Path) -> Vehicle:
+def load_vehicle_file(file: Path) -> Vehicle:
     """Load a vehicle file.
 
     Raises:

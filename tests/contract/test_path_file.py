@@ -16,11 +16,13 @@ from ampc_msgs_config.paths.path_file import (
     from_csv,
 )
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.scenario import Scenario, speed_at
+from ampc_msgs_config.scenarios.scenario import END_DECELERATION, Scenario, speed_at
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 with_data = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is not at hand")
 SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
+BRAKING = (5.0 - 0.5) / (2 * END_DECELERATION)
+"""Additional time of a drive at 5 m/s that brakes at the end of the path, down to 0.5 m/s [s]."""
 STRAIGHT = "0,0\n10,0\n20,0\n30,0\n"
 
 
@@ -57,7 +59,7 @@ def test_header_names_decide_which_columns_count(text: str, tmp_path: Path) -> N
     assert path.length == pytest.approx(30.0)
     np.testing.assert_allclose(path.y, 0.0, atol=1e-12)
     assert scenario.name == "road"
-    assert scenario.duration == pytest.approx(6.0, abs=0.11)
+    assert scenario.duration == pytest.approx(6.0 + BRAKING, abs=0.11)
 
 
 def test_speed_comes_from_its_column(tmp_path: Path) -> None:
@@ -68,7 +70,7 @@ def test_speed_comes_from_its_column(tmp_path: Path) -> None:
 def test_speed_comes_from_the_time_stamps(tmp_path: Path) -> None:
     scenario = from_csv(csv_file(tmp_path, "t_s,x_m,y_m\n5,0,0\n7,10,0\n9,20,0\n11,30,0\n"))
     assert speeds(scenario, 0.0, 15.0, 30.0) == pytest.approx([5.0, 5.0, 5.0])
-    assert scenario.duration == pytest.approx(6.0, abs=0.11)
+    assert scenario.duration == pytest.approx(6.0 + BRAKING, abs=0.11)
 
 
 def test_given_speed_replaces_that_of_the_file(tmp_path: Path) -> None:

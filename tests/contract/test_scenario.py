@@ -18,6 +18,7 @@ from ampc_msgs_config.paths.path import point_at, project
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import (
     SPEED_PREVIEW,
+    STAND_OFF,
     Scenario,
     SpeedPlanner,
     SpeedProfile,
@@ -307,7 +308,7 @@ def over_distance(speeds: list[float]) -> SpeedPlanner:
 
 
 def test_planner_reads_distance_ahead_by_what_the_car_drives_in_the_preview() -> None:
-    planner = over_distance([4.0, 8.0, 8.0, 2.0])
+    planner = over_distance([4.0, 8.0, 8.0, 2.0, 2.0, 2.0])
     assert planner.target_speed(at(0.0, 5.0)) == pytest.approx(4.0 + 0.4 * (5.0 + 6.0 * 0.5))
     assert planner.target_speed(at(0.1, 15.0)) == pytest.approx(8.0)
     assert planner.target_speed(at(0.2, 29.0)) == pytest.approx(2.0, abs=0.1)
@@ -320,7 +321,7 @@ def test_car_leaves_a_standstill_that_the_profile_begins_with_and_stands_at_its_
         v += 0.1 * (planner.target_speed(at(0.1 * i, x)) - v) / SPEED_PREVIEW
         x, fastest = x + 0.1 * v, max(fastest, v)
     assert fastest == pytest.approx(5.0, rel=0.05)
-    assert x == pytest.approx(29.7, abs=0.5)
+    assert x == pytest.approx(30.0 - STAND_OFF, abs=0.5)
     assert v == pytest.approx(0.0, abs=0.01)
 
 

@@ -21,9 +21,9 @@ from ampc_msgs_config.types import Plan, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
-PAPER = load_vehicle(find("vehicles", "paper"))
+PAPER = load_vehicle_file(find("vehicles", "paper"))
 TO_CG = PAPER.chassis.cg_to_rear_axle
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 with_data = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is not at hand")

@@ -26,6 +26,7 @@ from ampc_msgs_config.types import (
     TickRecord,
     VehicleState,
 )
+from ampc_ros.supervision.fallback import OFF_PATH
 from ampc_ros.supervision.health import Health, health, health_numbers
 from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
@@ -115,6 +116,11 @@ def test_old_path_warns_and_then_is_an_error(age: float, level: int, sentence: s
 def test_lower_rungs_are_told_with_their_reason(rung: int, level: int, reason: int) -> None:
     supervisor, decision = good()
     said = health(supervisor, told(decision, rung=rung, reason=reason), NOW)
+    if reason == OFF_PATH and rung != STOP:  # an error whatever the solver's status
+        assert said.level == ERROR
+        assert said.sentence.startswith("off_path: ")
+        assert said.sentence.endswith(": a stop is requested")
+        return
     assert said.level == level
     assert re.search(f"{RUNGS[rung]}, .*{REASONS[reason]}", said.sentence)
     assert said.sentence.endswith(": a stop is requested") is (rung == STOP)

@@ -31,13 +31,13 @@ from ampc_msgs_config.types import (
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 from tests.workshop.acceptance.cases import SPEEDS, Case, all_cases
 from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import Trial, overlap, run
 
-CAR = load_vehicle(find("vehicles", "paper"))
-ORDINARY = load_vehicle(find("vehicles", "ordinary"))
+CAR = load_vehicle_file(find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
 TO_CG = CAR.chassis.cg_to_rear_axle
 STRAIGHT = make_path([(0.0, 0.0), (1000.0, 0.0)])
 NOISE = load(MeasurementNoise, find("noise", "x1"))
@@ -184,13 +184,25 @@ def test_after_a_noisy_stop_the_car_goes_on_without_a_swing() -> None:
 
 def test_beyond_the_end_of_the_path_the_car_goes_straight_on() -> None:
     path = make_path([(0.0, 0.0), (50.0, 0.0)])
+    scenario = load_scenario("straight", CAR.size, 9.0)
+    controller, simulation = preview(), Simulation(CAR, scenario)
+    states = []
+    for tick in range(150):
+        states.append(simulation.car.measure(tick * NANOSECONDS // 10))
+        plan = controller.step(states[-1], path)
+        simulation.advance(plan.steering, 9.0, NANOSECONDS // 10)
+    assert states[-1].x > 100.0
+    assert abs(states[-1].y) < 0.01
+    assert plan.diagnosis.mode == PATH_END
+
+
+def test_the_planner_stands_at_the_end_of_an_open_path() -> None:
     scenario = load_scenario("straight", CAR.size, 9.0)._replace(
         points=np.array([(0.0, 0.0), (50.0, 0.0)])
     )
-    finished = drive(Simulation(CAR, scenario), preview())
-    assert finished.states[-1].x > 100.0
-    assert abs(finished.states[-1].y) < 0.01
-    assert preview().step(finished.states[-1], path).diagnosis.mode == PATH_END
+    last = drive(Simulation(CAR, scenario), preview()).states[-1]
+    assert last.v_x == pytest.approx(0.0, abs=0.01)
+    assert 47.0 < last.x < 50.0
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters, SteeringParameters
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator, actuator_of
-from ampc_ros.mpc.model import DELTA, STATES, V_Y, YAW_RATE, Vehicle
+from ampc_ros.mpc.model import DELTA, STATES, V_Y, YAW_RATE, BicycleParameters
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.model import E_PSI, E_Y, angle_bound, side_acceleration, steady_steering
 from tests.filled import lateral_dynamics, sampled_model
@@ -27,7 +27,7 @@ ORDINARY = astuple(load(ChassisParameters, find("vehicles", "ordinary"), "chassi
 many = settings(max_examples=100, deadline=None, derandomize=True)
 
 
-def continuous_model(vehicle: Vehicle, v_x: float, lag: float) -> Array:
+def continuous_model(vehicle: BicycleParameters, v_x: float, lag: float) -> Array:
     """[[A, B, D], [0, 0, 0]] (7, 7): Eq. (7) on the path, input u, disturbance kappa."""
     A_c, B_c = lateral_dynamics(vehicle, v_x)
     block = np.zeros((STATES + 2, STATES + 2))
@@ -89,7 +89,7 @@ def test_sampled_model_is_the_continuous_one_under_a_delayed_input(
     share=st.one_of(st.just(0.0), st.floats(1e-6, 1.0 - 1e-6)),
 )
 def test_step_is_the_exponentials_of_the_block_matrix_before_and_after_the_input_changes(
-    vehicle: Vehicle, v_x: float, lag: float, T: float, share: float
+    vehicle: BicycleParameters, v_x: float, lag: float, T: float, share: float
 ) -> None:
     block = continuous_model(vehicle, v_x, lag)
     old, new = expm(block * share * T), expm(block * (1.0 - share) * T)
@@ -110,7 +110,7 @@ def test_step_is_the_exponentials_of_the_block_matrix_before_and_after_the_input
     moment=st.floats(-2.0, 2.0),
 )
 def test_side_acceleration_is_recovered_from_the_change_of_the_state(
-    vehicle: Vehicle, v_x: float, T_s: float, a_y: float, moment: float
+    vehicle: BicycleParameters, v_x: float, T_s: float, a_y: float, moment: float
 ) -> None:
     A_c, _ = lateral_dynamics(vehicle, v_x)
     block = np.zeros((5, 5))

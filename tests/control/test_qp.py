@@ -14,7 +14,17 @@ from scipy.optimize import LinearConstraint, linprog, minimize
 
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.qp import INFEASIBLE, NOT_CONVEX, SOLVED, UNFINISHED, Qp
-from tests.filled import QpSolution, active_set, hildreth_solution
+from tests.filled import (
+    QpSolution,
+    active_set,
+    descent_solution,
+    hildreth_solution,
+    laguerre_sequence,
+    running_sum,
+)
+from tests.workshop.proofs.prove_qp import main as prove_qp
+from tests.workshop.proofs.prove_qp import verdicts
+from tests.workshop.proofs.qp_problems import KINDS as DEGENERATE_KINDS
 
 TWO_SIDED = ("two sides", "equal bounds", "shared slack")
 KINDS = ("plain", "tight", "degenerate", "whole numbers", *TWO_SIDED, "badly scaled")
@@ -387,3 +397,80 @@ def test_no_feasible_point_nearby_costs_less() -> None:
         values = other @ M.T
         for point in other[((low <= values) & (values <= high)).all(axis=1)]:
             assert cost(point) >= cost(x) - 1e-9 * (1 + abs(cost(x)))
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS[:-1])
+def test_degenerate_problems_that_zero_satisfies_are_solved(kind: str) -> None:
+    """The complete proof, 10^5 problems, is `python -m tests.workshop.proofs.prove_qp`."""
+    results = list(verdicts(kind, few(500), seed=7))
+    assert all(result.status == SOLVED for result in results)
+    assert not any(result.wrong for result in results)
+    same_as_daqp = sum(result.equal[0] for result in results)
+    assert same_as_daqp > 0.9 * len(results)
+    assert sum(result.equal[1] for result in results) > 0.5 * len(results)
+
+
+def test_the_proof_of_the_solver_reports_success_as_exit_code(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert prove_qp(["--problems", "20", "--seed", "3"]) == 0
+    assert "unfinished" in capsys.readouterr().out
+
+
+def rate_limited_rows(lateness: float) -> Qp:
+    """Return a QP of a nominal angle that changes at the largest increment, up then down.
+
+    Late increments of Laguerre functions nearly vanish, so the rows that are tight at x = 0 are
+    nearly dependent. `lateness` shifts the bounds beyond 0, as rounding does [rad].
+    """
+    L = laguerre_sequence(0.3, 6, 20)
+    S, step = running_sum(L), 0.08
+    up = np.array([0.4, -0.9, 0.9, 0.9, 0.6, 1.0, -1.0, 1.0, -1.0, 1.0] + 10 * [1.0]) * step
+    M = np.empty((40, 6))
+    M[::2], M[1::2] = L, S
+    angle = np.cumsum(up)
+    low, high = np.empty(40), np.empty(40)
+    low[::2], high[::2] = -step - up + lateness, step - up - lateness
+    low[1::2], high[1::2] = -2.0 - angle, 2.0 - angle
+    E = 500.0 * np.eye(6) + 1e4 * S.T @ S
+    return Qp(E, 1e4 * np.array([1.7, 1.4, 1.1, 0.9, 0.7, 0.5]), M, low, high)
+
+
+@pytest.mark.parametrize("lateness", [0.0, 1e-17, 1e-15])
+def test_rows_of_a_nominal_angle_at_the_rate_limit_are_never_infeasible(lateness: float) -> None:
+    for sign in (1.0, -1.0):
+        qp = rate_limited_rows(lateness)
+        qp = qp._replace(K=sign * qp.K)
+        solution = active_set(qp)
+        assert solution.status == SOLVED
+        assert kuhn_tucker_residual(qp, solution) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["plain", "tight", "degenerate", "two sides", "shared slack"])
+def test_primal_method_finds_the_solution_of_the_dual_one(kind: str) -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(few(300)):
+        qp = random_problem(rng, kind)
+        inside = qp._replace(low=np.minimum(qp.low, 0.0), high=np.maximum(qp.high, 0.0))
+        expected = active_set(inside)
+        x, status = descent_solution(inside)
+        assert (status, expected.status) == (SOLVED, SOLVED)
+        assert disagreement(inside, QpSolution(x, *expected[1:]), expected) < 1e-7
+
+
+def test_primal_method_starts_with_the_slack_that_the_soft_rows_need() -> None:
+    rng = np.random.default_rng(13)
+    for _ in range(few(200)):
+        qp = random_problem(rng, "shared slack")
+        hard = np.abs(qp.M[:, -1]) == 0.0
+        low, high = np.where(hard, -np.inf, qp.low), np.where(hard, np.inf, qp.high)
+        soft = qp._replace(low=low, high=high)
+        x, status = descent_solution(soft)
+        assert status == SOLVED
+        assert disagreement(soft, QpSolution(x, *active_set(soft)[1:]), active_set(soft)) < 1e-7
+
+
+def test_primal_method_needs_a_feasible_start() -> None:
+    far = Qp(np.eye(2), np.zeros(2), np.eye(2), np.full(2, 1.0), np.full(2, 2.0))
+    assert descent_solution(far)[1] == INFEASIBLE
+    assert active_set(far).status == SOLVED

@@ -12,7 +12,7 @@ from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.controller import make_controller
 from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.bench.bench_node import CHOICES
 
@@ -34,7 +34,7 @@ def metrics_of(
     rate: int, name: str, car: str, offset: float = 0.0, noise: str = ""
 ) -> dict[str, float]:
     """Drive a scenario at a rate [Hz]; return the numbers of the result table."""
-    vehicle, controller = load_vehicle(find("vehicles", car)), controller_at(rate, car)
+    vehicle, controller = load_vehicle_file(find("vehicles", car)), controller_at(rate, car)
     scenario: Scenario = load_scenario(name, vehicle.size)._replace(start_offset=offset)
     heard = load(MeasurementNoise, find("noise", noise)) if noise else None
     simulation = Simulation(vehicle, scenario, noise=heard, rng=np.random.default_rng(1))
@@ -74,7 +74,7 @@ def test_noise_moves_car_and_wheel_no_more_than_at_10_hz_is_allowed(rate: int) -
 def test_a_faster_loop_is_stable_with_80_ms_of_unknown_delay(
     rate: int, car: str, v_x: float
 ) -> None:
-    controller, vehicle = controller_at(rate, car), load_vehicle(find("vehicles", car))
+    controller, vehicle = controller_at(rate, car), load_vehicle_file(find("vehicles", car))
     parameters = vehicle.chassis, vehicle.steering
     radius = spectral_radius(controller, *parameters, v_x)
     assert radius ** (rate / 10) < 0.97

@@ -24,7 +24,7 @@ from ampc_ros.nodes.planner_node import PlannerNode
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.nodes.simulator_node import SimulatorNode
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from tests.ros_nodes import ros_context, spin_to_the_end, spin_until
 
 
@@ -120,7 +120,7 @@ def choices_of(case: Case) -> Choices:
 
 def car_of(case: Case) -> Simulation:
     """Place the car at its start."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     scenario = load_scenario(case.scenario, vehicle.size)
     noise = load(MeasurementNoise, find("noise", case.noise)) if case.noise else None
     rng = np.random.default_rng(case.seed)

@@ -106,12 +106,12 @@ def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None
     for _ in range(10):
         viewer.drive()
         viewer.all.spin_once(timeout_sec=PICTURE_PERIOD)
-    assert not node.inputs
+    assert not node.inputs.topics
     viewer.look()
     viewer.picture()
-    assert {each.topic_name for each in node.inputs} == {f"/{name}" for name in TYPES}
+    assert node.inputs.topics.keys() == set(TYPES)
     viewer.destroy_subscription(viewer.eye)
-    spin_until(viewer.all, lambda: not node.inputs)
+    spin_until(viewer.all, lambda: not node.inputs.topics)
     assert not node.values
 
 

@@ -161,13 +161,16 @@ BAD_STATES = [
     (odometry(2, x=float("nan")), "odom: pose.pose.position.x = nan must be finite"),
     (odometry(2, v_x=float("inf")), "odom: twist.twist.linear.x = inf must be finite"),
     (odometry(2), "odom: pose.pose.orientation = (0, 0, 0, 0) must have a length in [0.9, 1.1]"),
-    (odometry(2), "odom: header.frame_id = 'odom' must be 'map'"),
+    (odometry(2), "odom: header.frame_id = 'odom' must be 'map', the frame of the first odom"),
 ]
 orientation = BAD_STATES[2][0].pose.pose.orientation
 orientation.z = orientation.w = 0.0
 BAD_STATES[3][0].header.frame_id = "odom"
 BAD_PATHS = [
-    (path(frame="odom"), "frame_id = 'odom' must be 'map'"),
+    (
+        path(frame="odom"),
+        "header.frame_id = 'odom' differs from 'map', the frame of the first odom: publish",
+    ),
     (path([(0.0, 0.0), (float("nan"), 1.0)]), "must be finite"),
     (path([(1.0, 2.0), (1.0, 2.0)]), "at least 2 are needed"),
 ]

@@ -76,7 +76,7 @@ def used_by(observer: Node, name: str) -> set[str]:
 
 def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
     """Check whether all endpoints are discovered, with those that the markers need for a viewer."""
-    return bool(nodes["markers"].inputs) and all(
+    return bool(nodes["markers"].inputs.topics) and all(
         {f"publish {each.topic_name}" for each in node.publishers}
         | {f"subscribe {each.topic_name}" for each in node.subscriptions}
         | {f"reply {each.service_name}" for each in node.services}

@@ -9,9 +9,9 @@ import pytest
 from ampc_msgs_config import config
 from ampc_msgs_config.parameters import SteeringParameters
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
-PAPER = load_vehicle(config.find("vehicles", "paper"))
+PAPER = load_vehicle_file(config.find("vehicles", "paper"))
 STEP = 0.005
 
 

@@ -10,10 +10,10 @@ import yaml
 
 from ampc_msgs_config import config
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from sim_vehicle.vehicle import CAR_V_X, CAR_V_Y, CAR_YAW_RATE
 
-PAPER = load_vehicle(config.find("vehicles", "paper"))
+PAPER = load_vehicle_file(config.find("vehicles", "paper"))
 STILL = np.zeros((20, 2))
 BAD = (math.nan, math.inf, -math.inf)
 
@@ -114,7 +114,7 @@ def test_paper_s_car_is_that_of_table_3_and_the_ordinary_one_understeers_mildly(
     assert (chassis.mass, chassis.yaw_inertia, chassis.wheelbase) == (1575.0, 2875.0, 2.8)
     assert (PAPER.steering.lag, PAPER.steering.delay, PAPER.steering.max_rate) == (0, 0, math.inf)
     assert PAPER.steering.max_angle == math.pi / 6
-    ordinary = load_vehicle(config.find("vehicles", "ordinary"))
+    ordinary = load_vehicle_file(config.find("vehicles", "ordinary"))
     assert 0.002 < ordinary.chassis.understeer_gradient < 0.003
 
 
@@ -122,7 +122,7 @@ def refusal(file: Path, content: Any) -> str:
     """Write a vehicle file and give the complaint of its loader."""
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(ValueError, match=file.name) as error:
-        load_vehicle(file)
+        load_vehicle_file(file)
     return str(error.value)
 
 

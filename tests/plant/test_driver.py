@@ -13,11 +13,11 @@ from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
 from sim_vehicle.driver import stands
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from sim_vehicle.vehicle import CAR_V_X, CAR_V_Y, CAR_X, CAR_YAW_RATE
 
-PAPER = load_vehicle(config.find("vehicles", "paper"))
-ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
+PAPER = load_vehicle_file(config.find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(config.find("vehicles", "ordinary"))
 both_cars = pytest.mark.parametrize("vehicle", [PAPER, ORDINARY], ids=["paper", "ordinary"])
 both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 

@@ -12,11 +12,11 @@ from scipy.integrate import solve_ivp
 from ampc_msgs_config import config
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from sim_vehicle.vehicle import A_X, CAR_V_X, CAR_V_Y, CAR_YAW_RATE, CORNERING, SIZE
 from tests.plant.independent_model import rates, simulate
 
-CARS = {name: load_vehicle(config.find("vehicles", name)) for name in ("paper", "ordinary")}
+CARS = {name: load_vehicle_file(config.find("vehicles", name)) for name in ("paper", "ordinary")}
 both_cars = pytest.mark.parametrize("name", CARS)
 STEP, STEPS, PERIODS = 0.005, 20, 30
 TOLERANCE = 1e-8

@@ -20,7 +20,7 @@ from sim_vehicle.configuration import (
     simulation_of,
     simulator_text,
 )
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 NOISE = load(MeasurementNoise, find("noise", "x1"))
 WHERE = "run/bag: simulator/configuration"
@@ -28,7 +28,7 @@ WHERE = "run/bag: simulator/configuration"
 
 def made_of(scenario: str, vehicle: str = "paper", **options: Any) -> SimulatorConfiguration:
     """Return the configuration of a shipped scenario and car."""
-    car = load_vehicle(find("vehicles", vehicle))
+    car = load_vehicle_file(find("vehicles", vehicle))
     return SimulatorConfiguration(car, load_scenario(scenario, car.size), **options)
 
 
@@ -58,7 +58,7 @@ def test_a_path_of_a_user_with_laps_needs_its_file_no_more(tmp_path: Path) -> No
     rows = "".join(f"{40 * np.sin(a)},{40 - 40 * np.cos(a)}\n" for a in angles)
     file = tmp_path / "circle.csv"
     file.write_text("x_m,y_m\n" + rows, encoding="utf-8")
-    car = load_vehicle(find("vehicles", "paper"))
+    car = load_vehicle_file(find("vehicles", "paper"))
     route = Route(path=str(file), lateral_acceleration=3.0, laps=2)
     config = SimulatorConfiguration(car, choose_scenario(route, car.size))
     text = simulator_text(config)

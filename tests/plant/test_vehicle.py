@@ -15,7 +15,7 @@ from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
 from ampc_msgs_config.types import Array
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from sim_vehicle.vehicle import (
     A_Y,
     CAR_STEERING,
@@ -30,8 +30,8 @@ from sim_vehicle.vehicle import (
 from sim_vehicle.vehicle_row import vehicle_numbers
 from sim_vehicle.wheels import wheel_loads
 
-PAPER = load_vehicle(config.find("vehicles", "paper"))
-ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
+PAPER = load_vehicle_file(config.find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(config.find("vehicles", "ordinary"))
 both_cars = pytest.mark.parametrize("vehicle", [PAPER, ORDINARY], ids=["paper", "ordinary"])
 both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 

@@ -22,9 +22,9 @@ from launch_scripts.tuning.fitness import (
 )
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
 from sim_vehicle.closed_loop import drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
-PAPER = load_vehicle(find("vehicles", "paper"))
+PAPER = load_vehicle_file(find("vehicles", "paper"))
 TABLE_3 = load_gain_table("table3").nodes[0]
 HAND_SET = load_gain_table("preview")
 STEP = Node(PAPER, "paper", "paper", 9.0, 5.0)

@@ -22,10 +22,10 @@ from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.measurement import Deviations
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 
-PAPER = load_vehicle(find("vehicles", "paper"))
-ORDINARY = load_vehicle(find("vehicles", "ordinary"))
+PAPER = load_vehicle_file(find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 NOISE = load(MeasurementNoise, find("noise", "x1"))
 

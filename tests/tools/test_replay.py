@@ -29,10 +29,10 @@ from launch_scripts.replaying.repetition import (
 )
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.recorded_drives import Bag
 
-VEHICLE = load_vehicle(find("vehicles", "paper"))
+VEHICLE = load_vehicle_file(find("vehicles", "paper"))
 TICK_NS = NANOSECONDS // 10
 STEP_NS = NANOSECONDS // 50
 SCENARIOS = (

@@ -25,7 +25,7 @@ from launch_scripts.reporting.charts import draw_panel, thin_series
 from launch_scripts.reporting.drive import JudgedDrive, judge_bag
 from launch_scripts.reporting.page import MAX_BYTES
 from launch_scripts.reporting.panels import PANELS, Axis, Panel, Series
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.report_bags import (
     TICK_NS,
     Messages,
@@ -80,6 +80,18 @@ def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole: Path) -> No
     radius = np.hypot(drive.states[:, 0], drive.states[:, 1] - 800.0)
     swing = 800.0 - np.hypot(radius, drive.context.to_cg)  # 1.5 m ahead on the tangent
     np.testing.assert_allclose(drive.errors[:, 0], swing, atol=1e-3)
+
+
+def test_the_page_states_the_noise_of_the_path(tmp_path: Path) -> None:
+    points = np.column_stack(
+        (np.arange(0.0, 200.0), 0.02 * np.random.default_rng(1).normal(size=200))
+    )
+    noisy: Messages = {"/reference_path": [(0, ros.path_message(points, 0))]}
+    drive = judged(write_messages(tmp_path / "noisy", foreign(topics=noisy)))
+    assert drive.path_noise == pytest.approx(0.02, rel=0.2)
+    assert ("Path noise", f"{100 * drive.path_noise:.1f} cm") in page.facts_of(drive)
+    alone = judged(write_messages(tmp_path / "alone", {"/odom": odometry(straight_states(30))}))
+    assert "Path noise" not in dict(page.facts_of(alone))
 
 
 def test_an_old_bag_is_reported_with_what_it_lacks_in_words(tmp_path: Path) -> None:
@@ -216,7 +228,7 @@ def test_odometry_of_a_wrong_type_is_refused_in_one_line(
 
 
 def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> None:
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     drive = judged(write_messages(tmp_path / "bag", foreign()), vehicle=vehicle)
     assert drive.context.to_cg == vehicle.chassis.cg_to_rear_axle
     outline = drive.context.outline

@@ -20,7 +20,7 @@ from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.options import Run, read_run_options
 from launch_scripts.run.result import write_result
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 TICK_NS = NANOSECONDS // 10
 ANGLE = np.linspace(0.0, 6.0, 200)
@@ -86,7 +86,7 @@ def test_what_is_not_defined_on_a_path_is_null_in_the_file_and_not_in_the_table(
 ) -> None:
     chosen = vars(read_run_options(["--scenario", "circle"], None))
     del chosen["output"]
-    size = load_vehicle(find("vehicles", "paper")).size
+    size = load_vehicle_file(find("vehicles", "paper")).size
     run = Run(tmp_path, choose_scenario(Route("circle"), size), chosen)
     write_bag(run.bag, {"": drive_messages(CIRCLE)})
     table = write_result(run, "interrupted by [SIGINT]")

@@ -13,7 +13,7 @@ from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tune import build_parser
 from launch_scripts.tuning.fitness import Node, fitness
 from launch_scripts.tuning.task import is_reachable, read_task
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 TUNED = {"paper_pso": "paper", "preview_paper": "paper", "preview_ordinary": "ordinary"}
 
@@ -60,7 +60,7 @@ def test_a_shipped_vehicle_gets_its_own_table_and_any_other_the_one_for_all(tmp_
 def test_the_default_gains_are_better_than_hand_set_ones_at_speeds_that_no_search_saw(
     car: str,
 ) -> None:
-    vehicle, ratios = load_vehicle(config.find("vehicles", car)), []
+    vehicle, ratios = load_vehicle_file(config.find("vehicles", car)), []
     tables = [load_gain_table(name) for name in (default_table("preview", car), "preview")]
     for v in (6.5, 13.0, 17.5, 36.5):
         node = Node(vehicle, "preview", "robust", v)

@@ -22,7 +22,7 @@ from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.processes import Processes
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.bag_samples import is_complete, read
 from tests.tools.test_python_api import blocks
 from tests.waiting import TIMEOUT, wait_for
@@ -108,7 +108,7 @@ def start_and_drive(folder: Path) -> Started:
 
 def drive_offline(scenario: str, controller: str) -> tuple[list[object], list[float]]:
     """Return states and commands of the same drive without ROS."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     car = Simulation(vehicle, load_scenario(scenario, vehicle.size))
     offline = drive(car, make_controller(Choices(controller=controller)))
     return list(offline.states), offline.steering.tolist()

@@ -15,13 +15,13 @@ from ampc_msgs_config import config
 from ampc_msgs_config.compiled import compiled
 from ampc_msgs_config.types import Array
 from sim_vehicle.car import Car
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from sim_vehicle.vehicle import CAR_V_X, SIZE, WORK_SIZE, drive_steps
 from sim_vehicle.vehicle_row import pack_vehicle, unpack_vehicle, vehicle_numbers
 from sim_vehicle.wheels import wheel_forces
 
-PAPER = load_vehicle(config.find("vehicles", "paper"))
-ORDINARY = load_vehicle(config.find("vehicles", "ordinary"))
+PAPER = load_vehicle_file(config.find("vehicles", "paper"))
+ORDINARY = load_vehicle_file(config.find("vehicles", "ordinary"))
 SLOW_STEERING = PAPER._replace(
     steering=replace(PAPER.steering, delay=0.13, lag=0.08, max_rate=0.5),
     tyre=replace(PAPER.tyre, model="linear"),

@@ -98,7 +98,7 @@ def test_a_forgotten_request_to_stop_is_found(monkeypatch: pytest.MonkeyPatch) -
 
     def forgetful(self: Supervisor, now_ns: int) -> TickRecord | None:
         decision = tick(self, now_ns)
-        self._stop_requested = bool(decision and decision.command.rung == 4)
+        self._stop.drive = bool(decision and decision.command.rung == 4)
         return decision
 
     monkeypatch.setattr(Supervisor, "tick", forgetful)

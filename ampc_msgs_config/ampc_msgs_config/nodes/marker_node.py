@@ -16,7 +16,6 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -26,6 +25,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
@@ -56,18 +56,19 @@ class MarkerNode(BaseNode):
         chassis = load(ChassisParameters, file, "chassis")
         self.car = car_of(chassis, load(SizeParameters, file, "size"), to_cg)
         self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
-            topics.ODOM: (Odometry, qos.NEWEST, ros.vehicle_state),
+            topics.ODOM: (Odometry, qos.NEWEST, self.state_of),
             topics.STEERING_COMMAND: (JointState, qos.NEWEST, ros.steering_angle),
             topics.STEERING_STATE: (JointState, qos.NEWEST, ros.steering_angle),
-            topics.REFERENCE_PATH: (PathMessage, qos.LATCHED, points_of),
-            topics.PREDICTED_PATH: (PathMessage, qos.NEWEST, points_of),
+            topics.REFERENCE_PATH: (PathMessage, qos.LATCHED, self.points_of),
+            topics.PREDICTED_PATH: (PathMessage, qos.NEWEST, self.points_of),
             topics.WIND: (Vector3Stamped, qos.NEWEST, wind_of),
             topics.STOP_REQUEST: (Bool, qos.LATCHED, lambda message: bool(message.data)),
         }
-        self.inputs: list[Subscription] = []
+        self.inputs = Inputs(self)
         self.new: dict[str, Any] = {}
         self.values: dict[str, Any] = {}
         self.pictures = 0
+        self.frame_id = topics.MAP
         self.publisher = self.create_publisher(MarkerArray, topics.MARKERS, qos.COMMAND)
         self.create_timer(
             PICTURE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -78,21 +79,50 @@ class MarkerNode(BaseNode):
     def on_timer(self) -> None:
         """Draw if there is a new state and a viewer is subscribed."""
         if not self.publisher.get_subscription_count():
-            while self.inputs:
-                self.destroy_subscription(self.inputs.pop())
-            self.new.clear()
-            self.values.clear()
-        elif not self.inputs:
-            for topic, (message_type, qos, _) in self.sources.items():
-                keep = partial(self.new.__setitem__, topic)
-                self.inputs.append(self.create_subscription(message_type, topic, keep, qos))
+            self.unsubscribe()
+        elif not self.inputs.topics:
+            self.subscribe()
         elif self.unpack_new():
             self.draw()
 
+    def subscribe(self) -> None:
+        """Subscribe to the drive."""
+        for topic, (message_type, profile, _) in self.sources.items():
+            keep = partial(self.new.__setitem__, topic)
+            profiles = ros.ANY_PUBLISHER if topic == ros.REFERENCE_PATH else (profile,)
+            self.inputs.add(message_type, topic, keep, *profiles)
+
+    def unsubscribe(self) -> None:
+        """Remove all subscriptions and values."""
+        self.inputs.destroy()
+        self.new.clear()
+        self.values.clear()
+
+    def state_of(self, message: Odometry) -> VehicleState:
+        """Unpack a state; its frame is that of the drawing."""
+        state = ros.vehicle_state(message)
+        self.frame_id = message.header.frame_id
+        return state
+
+    def points_of(self, message: PathMessage) -> Array:
+        """Unpack a path, thinned (n, 2) [m]; an empty one removes the line.
+
+        Raises:
+            ValueError: The frame is not that of `odom`, or a number is not finite.
+        """
+        if message.header.frame_id != self.frame_id:
+            raise ValueError(
+                f"header.frame_id = {message.header.frame_id!r} must be {self.frame_id!r}, as in "
+                "odom"
+            )
+        positions = [pose.pose.position for pose in message.poses]
+        return thin_points(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
+
     def unpack_new(self) -> bool:
         """Unpack new messages; return whether there is a new state. Invalid input is left out."""
-        messages = self.new.copy()
-        self.new.clear()
+        if ros.ODOM not in self.new and ros.ODOM not in self.values:
+            return False  # the frame is not known yet
+        messages = {topic: self.new.pop(topic) for topic in self.sources if topic in self.new}
         updated = set()
         for topic, message in messages.items():
             try:
@@ -114,27 +144,16 @@ class MarkerNode(BaseNode):
             values.get(topics.PREDICTED_PATH, EMPTY_PATH),
             values.get(topics.STOP_REQUEST, False),
         )
-        markers = [marker(shape, state.stamp_ns) for shape in shapes(view, self.car)]
+        markers = [marker(shape, state.stamp_ns, self.frame_id) for shape in shapes(view, self.car)]
         self.publisher.publish(MarkerArray(markers=markers))
         self.pictures += 1
 
     def on_diagnostics(self) -> None:
         """Publish diagnostics once a second, while a viewer is subscribed."""
-        if self.inputs:
-            waiting = "" if topics.ODOM in self.values else "waiting for odom"
-            self.report(self.now_ns, waiting, {"pictures": self.pictures})
-
-
-def points_of(message: PathMessage) -> Array:
-    """Unpack a path, thinned (n, 2) [m]; an empty one removes the line.
-
-    Raises:
-        ValueError: The frame is not `map`, or a number is not finite.
-    """
-    if message.header.frame_id != topics.MAP:
-        raise ValueError(f"frame_id = {message.header.frame_id!r} must be {topics.MAP!r}")
-    positions = [pose.pose.position for pose in message.poses]
-    return thin_points(np.array([(at.x, at.y) for at in positions]).reshape(-1, 2))
+        if self.inputs.topics:
+            waiting = [] if ros.ODOM in self.values else ["waiting for odom"]
+            sentence = "; ".join([*waiting, *self.inputs.mismatches()])
+            self.report(self.now_ns, sentence, {"pictures": self.pictures})
 
 
 def wind_of(message: Vector3Stamped) -> tuple[float, float]:
@@ -149,10 +168,10 @@ def wind_of(message: Vector3Stamped) -> tuple[float, float]:
     return wind
 
 
-def marker(shape: Shape, stamp_ns: int) -> Marker:
+def marker(shape: Shape, stamp_ns: int, frame_id: str = ros.MAP) -> Marker:
     """Pack a shape."""
     message = Marker(ns=shape.name, id=shape.number, type=MARKER_TYPES[shape.kind], text=shape.text)
-    message.header.frame_id, message.header.stamp = topics.MAP, ros.time_message(stamp_ns)
+    message.header.frame_id, message.header.stamp = frame_id, ros.time_message(stamp_ns)
     message.lifetime.sec = LIFETIME
     message.scale = Vector3(**dict(zip("xyz", map(float, shape.size), strict=True)))
     message.color = ColorRGBA(**dict(zip("rgba", shape.colour, strict=True)))

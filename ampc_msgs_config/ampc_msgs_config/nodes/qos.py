@@ -15,3 +15,11 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """Path, configuration and stop request: late subscribers receive them, too."""
+ANY_PUBLISHER = (LATCHED, COMMAND, NEWEST)
+"""Profiles of subscriptions that together receive a topic from every publisher."""
+
+
+def profile_text(qos: QoSProfile) -> str:
+    """Return durability and reliability of a profile, such as `volatile, best effort`."""
+    policies = (qos.durability, qos.reliability)
+    return ", ".join(policy.name.lower().replace("_", " ") for policy in policies)

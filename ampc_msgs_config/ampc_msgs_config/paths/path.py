@@ -34,6 +34,9 @@ class Path(NamedTuple):
     """Whether the end joins the start; then the last sample equals the first one."""
     noise: float
     """Noise of the points from which the path was made: standard deviation [m]."""
+    entry: int = NOT_CAUGHT
+    """Sample at which a car that already drives joins this path; NOT_CAUGHT: the first projection
+    decides."""
 
     @property
     def length(self) -> float:
@@ -208,9 +211,9 @@ class Progress:
     """Progress of a car along a path."""
 
     def __init__(self, path: Path) -> None:
-        """Start on `path` at the first projection."""
+        """Start on `path` at its entry, or at the first projection where it has none."""
         self.path = path
-        self.index = NOT_CAUGHT
+        self.index = path.entry
 
     def advance(self, x: float, y: float, yaw: float = math.nan) -> float:
         """Return the arc length of a car at (x, y) [m]; see `advance`."""

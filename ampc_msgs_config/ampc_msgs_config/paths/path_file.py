@@ -15,6 +15,7 @@ from ampc_msgs_config.scenarios.scenario import (
     SpeedProfile,
     check_profile,
     load_scenario,
+    stopping_speed,
 )
 from ampc_msgs_config.types import Array
 
@@ -94,7 +95,8 @@ def from_csv(
         profile = check_profile(SpeedProfile(True, at, values, period))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
-    lap_time = float(np.sum(path.spacing / np.maximum(_middle(values), 0.5)))
+    driven = values if path.closed else np.minimum(values, stopping_speed(path))
+    lap_time = float(np.sum(path.spacing / np.maximum(_middle(driven), 0.5)))
     duration = lap_time * (laps if path.closed else 1)
     shape = f"{'closed' if path.closed else 'open'}: {closure(points).reason}"
     note = f"{len(points)} points, {note}; {shape}; path noise {100 * path.noise:.1f} cm"

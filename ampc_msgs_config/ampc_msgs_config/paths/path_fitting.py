@@ -94,7 +94,7 @@ def make_path(points: ArrayLike, path_noise: float | None = None) -> Path:
     if found is not None and (path_noise is not None or found.residual > CLEAN):
         return _sampled(found.curve, (0.0, found.length), origin, closed, found.noise)
     if closed:
-        corners = _overlapped(corners)
+        corners = _continued_lap(corners)
     chord = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
     ends = (chord[OVERLAP], chord[-OVERLAP - 1]) if closed else (0.0, chord[-1])
     noise = 0.0 if found is None else found.residual
@@ -213,7 +213,7 @@ def _direction(corners: Array) -> Array:
     return np.asarray((corners[i] - corners[0]) / reach[i])
 
 
-def _overlapped(corners: Array) -> Array:
+def _continued_lap(corners: Array) -> Array:
     """Return a lap from its first point to that point again, continued at both ends."""
     return np.asarray(corners[np.arange(-OVERLAP, len(corners) + OVERLAP + 1) % len(corners)])
 

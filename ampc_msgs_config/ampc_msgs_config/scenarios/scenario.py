@@ -32,7 +32,14 @@ MIN_PREVIEW = 0.5
 POINT_SPACING = 0.5
 """Spacing of the points of analytic paths along X [m]."""
 RUN_OUT = 60.0
-"""Distance by which analytic paths continue beyond the end of the drive [m]."""
+"""Least distance by which analytic paths continue beyond the end of the drive [m]."""
+RUN_OUT_TIME = 1.2
+"""Time at the final speed in that distance, in addition to the braking distance [s]."""
+STAND_OFF = 1.5
+"""Distance of the stand from the end of the path: `odom` describes the rear axle, and the centre of
+gravity, which is projected onto the path, lies ahead of it [m]."""
+END_DECELERATION = 1.5
+"""Deceleration at the end of an open path, below that of a stop request [m/s^2]."""
 SPEED = number(0.0, 100.0, "m/s", "Target speed.")
 DURATION = number(0.1, 1.0e5, "s", "Duration of the drive.")
 START_OFFSET = number(-100.0, 100.0, "m", "Start to the left of the path's first point.")
@@ -131,6 +138,8 @@ def preview_speed(
 ) -> tuple[float, int]:
     """Return the speed that the driver has to reach one preview time later.
 
+    At the end of an open path the car comes to a stand.
+
     Args:
         profile: Speed profile of the drive.
         path: Path of the drive.
@@ -143,11 +152,19 @@ def preview_speed(
     Returns:
         Speed [m/s], and the index for the next call.
     """
-    if not profile.over_distance:
-        return speed_at(profile, elapsed + SPEED_PREVIEW), index
     s, index = advance(path, index, x, y, yaw)
-    ahead = max(SPEED_PREVIEW * speed_at(profile, s), MIN_PREVIEW)
-    return speed_at(profile, s + ahead), index
+    now = speed_at(profile, s if profile.over_distance else elapsed)
+    left = math.inf if path.closed else (len(path.x) - 1) * path.spacing - s - STAND_OFF
+    stopping = math.sqrt(2 * END_DECELERATION * max(left, 0.0))
+    ahead = max(SPEED_PREVIEW * min(now, stopping), MIN_PREVIEW)
+    soon = speed_at(profile, s + ahead if profile.over_distance else elapsed + SPEED_PREVIEW)
+    return min(soon, math.sqrt(2 * END_DECELERATION * max(left - ahead, 0.0))), index
+
+
+def stopping_speed(path: Path) -> Array:
+    """Return the largest speed at each sample from which the car stops at the end (n,) [m/s]."""
+    left = path.spacing * np.arange(len(path.x) - 1, -1, -1)
+    return np.asarray(np.sqrt(2 * END_DECELERATION * left))
 
 
 class SpeedPlanner:
@@ -213,7 +230,8 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     time = np.arange(0.0, drive.duration, 0.1).tolist()
-    reach = sum(speed_at(profile, t) for t in time) * 0.1 + RUN_OUT
+    reach = sum(speed_at(profile, t) for t in time) * 0.1
+    reach += run_out(speed_at(profile, drive.duration))
     return Scenario(
         name=file.stem,
         points=curve(np.arange(0.0, reach, POINT_SPACING, dtype=np.float64)),
@@ -223,6 +241,11 @@ def load_scenario(name: str, size: SizeParameters, speed: float | None = None) -
         lanes=lanes,
         start_offset=drive.start_offset,
     )
+
+
+def run_out(v: float) -> float:
+    """Return how far a path continues beyond a drive that ends at a speed v [m/s], in m."""
+    return max(RUN_OUT, v**2 / (2 * END_DECELERATION) + RUN_OUT_TIME * v)
 
 
 def _resolved(value: Any, key: str) -> Any:

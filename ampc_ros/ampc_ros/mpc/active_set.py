@@ -1,14 +1,17 @@
 """Exact QP solver: the dual active-set method of Goldfarb and Idnani (1983).
 
+Where the active rows are so nearly dependent that rounding decides, the method can fail on a
+feasible problem. The primal method of `descent` then solves it, if it has a feasible start.
+
 A library (DAQP) is not used because the solver must run inside compiled code without Python's
 global lock. The tests compare it with DAQP and SciPy.
 """
 
 import math
-from typing import NamedTuple
 
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.types import Array
+from ampc_ros.mpc.descent import descend, descent_numbers, feasible_start, relaxed_rows
 from ampc_ros.mpc.qp import (
     INFEASIBLE,
     SOLVED,
@@ -18,14 +21,15 @@ from ampc_ros.mpc.qp import (
     nearest_point,
     unit_row,
 )
-from ampc_ros.mpc.small_matrices import (
-    Scratch,
-    backward,
-    dot,
-    forward,
-    matrix,
-    project_out,
-    vector,
+from ampc_ros.mpc.small_matrices import Scratch, backward, dot, project_out, vector
+from ampc_ros.mpc.working_set import (
+    LOOSE,
+    ActiveRows,
+    append_row,
+    fits,
+    no_active_rows,
+    remove_row,
+    settle,
 )
 
 TOLERANCE = 1e-11
@@ -38,60 +42,9 @@ MAX_ENTRIES = 500
 """Largest number of rows that enter the working set before the solver stops."""
 
 
-class ActiveRows(NamedTuple):
-    """Working set of k <= n rows; position k belongs to the entering row."""
-
-    size: Array
-    """(1,) k."""
-    chosen: Array
-    """(n + 1,) indices of the rows in the QP."""
-    holds: Array
-    """(m,) 1 for each row of the QP that is in the set."""
-    side: Array
-    """(n + 1,) 1: upper bound active, -1: lower bound active."""
-    rows: Array
-    """(n + 1, n) side * row C^-1', scaled to unit length."""
-    bounds: Array
-    """(n + 1,) bounds of rows w."""
-    lengths: Array
-    """(n + 1,) lengths of the rows before scaling."""
-    multipliers: Array
-    """(n + 1,)."""
-    basis: Array
-    """(n, n) orthonormal rows that span the active ones."""
-    S: Array
-    """(n, n) lower triangular: active rows = S basis."""
-    coordinates: Array
-    """(n,) coordinates in the basis of the last vector that was split."""
-    rest: Array
-    """(n,) part of that vector orthogonal to the basis."""
-    held: Array
-    """(n,) auxiliary."""
-
-
 def active_set_numbers(m: int, n: int) -> int:
     """Return the size of the scratch memory of `active_set` for m rows of n unknowns."""
-    return m + 4 * n * n + 20 * n + 10
-
-
-@inlined
-def no_active_rows(m: int, n: int, scratch: Scratch) -> ActiveRows:
-    """Allocate an empty working set for m rows of n unknowns."""
-    return ActiveRows(
-        vector(scratch, 1),
-        vector(scratch, n + 1),
-        vector(scratch, m),
-        vector(scratch, n + 1),
-        matrix(scratch, n + 1, n),
-        vector(scratch, n + 1),
-        vector(scratch, n + 1),
-        vector(scratch, n + 1),
-        matrix(scratch, n, n),
-        matrix(scratch, n, n),
-        vector(scratch, n),
-        vector(scratch, n),
-        vector(scratch, n),
-    )
+    return m + 4 * n * n + 20 * n + 10 + descent_numbers(m, n)
 
 
 @in_place
@@ -127,45 +80,6 @@ def choose_entering_row(qp: Qp, task: NearestPoint, active: ActiveRows, x: Array
             active.chosen[k], active.side[k], active.lengths[k] = i, side, length
             active.bounds[k], active.multipliers[k] = bound / length, 0.0
             return True
-
-
-@inlined
-def orthonormalise(active: ActiveRows, first: int) -> None:
-    """Update basis and S for the active rows from `first` on."""
-    for i in range(first, int(active.size[0])):
-        rest = active.basis[i]
-        project_out(active.rows[i], active.basis, i, active.S[i], rest)
-        length = math.sqrt(dot(rest, rest))
-        active.S[i, i] = length
-        for j in range(len(rest)):
-            rest[j] /= length
-
-
-@inlined
-def append_row(active: ActiveRows, length: float) -> None:
-    """Append the entering row, which was split last and whose rest has this length."""
-    k = int(active.size[0])
-    for i in range(k):
-        active.S[k, i] = active.coordinates[i]
-    active.S[k, k] = length
-    for j in range(len(active.rest)):
-        active.basis[k, j] = active.rest[j] / length
-    active.holds[int(active.chosen[k])] = 1.0
-    active.size[0] = k + 1
-
-
-@inlined
-def remove_row(active: ActiveRows, blocking: int) -> None:
-    """Remove a row from the working set; later rows and the entering one move up."""
-    active.size[0] -= 1
-    active.holds[int(active.chosen[blocking])] = 0.0
-    for i in range(blocking, int(active.size[0]) + 1):
-        active.chosen[i], active.side[i] = active.chosen[i + 1], active.side[i + 1]
-        active.bounds[i], active.lengths[i] = active.bounds[i + 1], active.lengths[i + 1]
-        active.multipliers[i] = active.multipliers[i + 1]
-        for j in range(active.rows.shape[1]):
-            active.rows[i, j] = active.rows[i + 1, j]
-    orthonormalise(active, blocking)
 
 
 @in_place
@@ -209,30 +123,34 @@ def enter(active: ActiveRows, w: Array) -> bool:
 
 
 @inlined
-def settle(start: Array, active: ActiveRows, w: Array) -> None:
-    """Compute the point w (n,) nearest to `start` on the active rows, and the multipliers.
+def solve_dual(
+    qp: Qp, task: NearestPoint, active: ActiveRows, w: Array, x: Array
+) -> tuple[int, int, bool]:
+    """Add the most violated row to the active ones until none is violated.
 
-    Note:
-        The computation begins at `start` each time, so that rounding errors do not accumulate.
+    Returns:
+        Number of rows that entered; status; whether the result `fits` its active rows.
     """
-    k = int(active.size[0])
-    forward(active.S, active.bounds, k, active.held)
-    for j in range(len(w)):
-        w[j] = start[j]
-    for i in range(k):
-        active.coordinates[i] = dot(active.basis[i], start) - active.held[i]
-        for j in range(len(w)):
-            w[j] -= active.coordinates[i] * active.basis[i, j]
-    backward(active.S, active.coordinates, k, active.multipliers)
-    for i in range(k):
-        active.multipliers[i] = max(active.multipliers[i], 0.0)
+    n, entered, status = len(x), 0, task.status
+    smallest = settle(task.start, active, w)
+    backward(task.C, w, n, x)
+    while status == SOLVED and choose_entering_row(qp, task, active, x):
+        feasible = enter(active, w)
+        entered += 1
+        smallest = settle(task.start, active, w)
+        backward(task.C, w, n, x)
+        if not feasible or entered == MAX_ENTRIES:
+            status = UNFINISHED if feasible else INFEASIBLE
+    return entered, status, fits(active, w, smallest, LOOSE * task.scale)
 
 
 @in_place
 def active_set(qp: Qp, x: Array, multipliers: Array, scratch: Scratch) -> tuple[int, int]:
     """Solve a strictly convex QP exactly, or return the reason for the failure as the status.
 
-    Start at the unconstrained minimum and add the most violated row until none is violated.
+    Start at the unconstrained minimum and add the most violated row until none is violated. If this
+    fails or has lost its digits, start again at a feasible point, see `descent`. A QP that x = 0
+    satisfies is therefore never infeasible.
 
     Args:
         qp: The QP.
@@ -243,18 +161,15 @@ def active_set(qp: Qp, x: Array, multipliers: Array, scratch: Scratch) -> tuple[
     Returns:
         Number of rows that entered, and the status.
     """
-    begin, n, entered = scratch.used[0], len(qp.K), 0
+    begin, n = scratch.used[0], len(qp.K)
     task = nearest_point(qp, scratch)
-    active, w, status = no_active_rows(len(qp.low), n, scratch), vector(scratch, n), task.status
-    settle(task.start, active, w)
-    backward(task.C, w, n, x)
-    while status == SOLVED and choose_entering_row(qp, task, active, x):
-        feasible = enter(active, w)
-        entered += 1
-        settle(task.start, active, w)
-        backward(task.C, w, n, x)
-        if not feasible or entered == MAX_ENTRIES:
-            status = UNFINISHED if feasible else INFEASIBLE
+    active, w = no_active_rows(len(qp.low), n, scratch), vector(scratch, n)
+    entered, status, exact = solve_dual(qp, task, active, w, x)
+    if task.status == SOLVED and not (status == SOLVED and exact):
+        unit = relaxed_rows(qp, task, scratch)
+        if feasible_start(qp, task, unit, w):
+            entered, status = descend(qp, task, unit, active, w, vector(scratch, n))
+            backward(task.C, w, n, x)
     for i in range(int(active.size[0])):
         share = active.side[i] * active.multipliers[i] / active.lengths[i]
         multipliers[int(active.chosen[i])] = share

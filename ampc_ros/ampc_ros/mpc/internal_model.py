@@ -13,7 +13,7 @@ from ampc_msgs_config.parameters import (
     SteeringParameters,
 )
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.model import Vehicle
+from ampc_ros.mpc.model import BicycleParameters
 
 
 class Limits(NamedTuple):
@@ -50,7 +50,7 @@ class Actuator(NamedTuple):
 class InternalModel(NamedTuple):
     """Everything that a controller assumes about its car."""
 
-    vehicle: Vehicle
+    vehicle: BicycleParameters
     limits: Limits
     actuator: Actuator
     to_cg: float

@@ -9,7 +9,7 @@ from ampc_msgs_config.parameters import MIN_SPEED as MIN_SPEED
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.small_matrices import Scratch, matrix
 
-Vehicle = tuple[float, float, float, float, float, float]
+BicycleParameters = tuple[float, float, float, float, float, float]
 """`astuple(ChassisParameters)`: m, I_z, l_f, l_r, C_f, C_r."""
 
 V_Y, YAW, YAW_RATE, Y, DELTA = range(5)
@@ -18,7 +18,7 @@ TAYLOR_TERMS = 13
 
 
 @in_place
-def lateral_dynamics(vehicle: Vehicle, v_x: float, A: Array, B: Array) -> None:
+def lateral_dynamics(vehicle: BicycleParameters, v_x: float, A: Array, B: Array) -> None:
     """Fill the continuous-time bicycle model A_c (4, 4) and B_c (4,) of Eq. (7).
 
     Args:
@@ -105,7 +105,13 @@ def multiply(A: Array, B: Array, C: Array) -> None:
 
 @in_place
 def zero_order_hold(
-    vehicle: Vehicle, v_x: float, lag: float, T: float, A: Array, B: Array, scratch: Scratch
+    vehicle: BicycleParameters,
+    v_x: float,
+    lag: float,
+    T: float,
+    A: Array,
+    B: Array,
+    scratch: Scratch,
 ) -> None:
     """Fill the discrete-time model of Eq. (8), A_k (5, 5) and B (5,), for an input held over T.
 

@@ -55,4 +55,4 @@ def scratch_numbers(steps: int, N_c: int, N: int) -> int:
     """
     n, m = N + 1, 2 * N_c + 2 * steps + 1
     solver = max(active_set_numbers(m, n), hildreth_numbers(m, n))
-    return m * (n + 3) + (n + 8) * (steps + 10) + 2 * N_c * N + n * n + 400 + solver
+    return m * (n + 3) + (n + 13) * (steps + 10) + 2 * N_c * N + n * n + 400 + solver

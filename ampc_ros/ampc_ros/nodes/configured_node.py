@@ -1,14 +1,28 @@
 """Configuration of the controller node: parameters, changes at run time, reload of files."""
 
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.parameter import Parameter
+from rclpy.service import Service
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config.nodes.base_node import declare
-from ampc_ros.configuration import Choices, check_controller, configuration, gain_file
+from ampc_ros.configuration import (
+    Choices,
+    Configuration,
+    check_controller,
+    configuration,
+    gain_file,
+    to_yaml,
+)
+from ampc_ros.nodes.background import Background, Outcome
 from ampc_ros.nodes.managed_node import ManagedNode
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.supervisor import Supervisor
@@ -18,11 +32,40 @@ RUN_TIME = ("settings", "gain_table", "guard", "static_path")
 """Parameters that select files and may change while the controller runs."""
 
 
+class LoadedChoices(NamedTuple):
+    """Configuration of the choices of a user, ready for use."""
+
+    config: Configuration
+    source: object
+    """Origin of the gains."""
+    number: int
+    """Number of the configuration in its text."""
+    text: str
+    """Result of `to_yaml`."""
+
+
+def load_choices(choices: Choices, number: int) -> LoadedChoices:
+    """Load choices, and write the configuration as it is to be published.
+
+    Raises:
+        ValueError: A file or value is wrong.
+    """
+    config = configuration(choices)
+    return LoadedChoices(config, gain_file(choices), number, to_yaml(config, number))
+
+
 class ConfiguredNode(ManagedNode):
-    """A managed node around a supervisor; a change of its configuration keeps the steering."""
+    """A managed node around a supervisor; a change of its configuration keeps the steering.
+
+    In real time, files are loaded in another process while the controller steers on. The services
+    that load files await it in a callback group of their own.
+    """
 
     supervisor: Supervisor
     outputs: Outputs
+    loader: Background | None = None
+    loaded: tuple[Choices, Outcome] | None = None
+    """Choices that were loaded before the callback of their parameters."""
 
     def declare_choices(self) -> None:
         """Declare the parameters that select the configuration."""
@@ -30,12 +73,81 @@ class ConfiguredNode(ManagedNode):
         check_controller(offer("controller", default.controller, "name, or FILE.py:CLASS"))
         offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
+        offer("fixed_frame", "", "frame of path and odom; empty: that of the first odom")
         offer = partial(declare, self, at_run_time=True)
         offer("settings", default.settings, "shipped limits, or YAML file")
         offer("gain_table", default.gain_table, "shipped gains, or YAML file")
         offer("guard", default.guard, "shipped limits of the guard, or YAML file")
         offer("static_path", self.lock_step, "the path is published once and does not grow old")
         offer("qp_fault", False, "fault injection: every solution fails")
+        self.file_group = MutuallyExclusiveCallbackGroup()
+        for service in list(self.services):
+            name = service.srv_name.rpartition("/")[2]
+            if name == "set_parameters":
+                self.move(service, self.one_by_one(service.callback))
+            elif name == "set_parameters_atomically":
+                self.move(service, self.all_at_once(service.callback))
+
+    def move(self, service: Service, callback: Callable[..., Any]) -> None:
+        """Replace the callback of a service by one that loads files without delaying others."""
+        service.callback, service.callback_group = callback, self.file_group
+        self.file_group.add_entity(service)
+
+    def one_by_one(self, set_parameters: Callable[..., Any]) -> Callable[..., Any]:
+        """Load the files of each parameter before it is set."""
+
+        async def load_and_set(request: Any, response: Any) -> Any:
+            for each in request.parameters:
+                await self.preload([each])
+                response = set_parameters(SetParameters.Request(parameters=[each]), response)
+            return response
+
+        return load_and_set
+
+    def all_at_once(self, set_parameters: Callable[..., Any]) -> Callable[..., Any]:
+        """Load the files of all parameters before they are set."""
+
+        async def load_and_set(request: Any, response: Any) -> Any:
+            await self.preload(request.parameters)
+            return set_parameters(request, response)
+
+        return load_and_set
+
+    async def preload(self, messages: Sequence[ParameterMessage]) -> None:
+        """Load the choices of new parameters; `on_parameters` uses the result."""
+        changed = {each.name: Parameter.from_parameter_msg(each) for each in messages}
+        right = {
+            name: each.value
+            for name, each in changed.items()
+            if name in RUN_TIME and each.type_ == self.get_parameter(name).type_
+        }
+        if right and self.loads_elsewhere:
+            choices = self.choices(right)
+            self.loaded = (choices, await self.load_elsewhere(choices))
+
+    @property
+    def loads_elsewhere(self) -> bool:
+        """Whether files are loaded in another process."""
+        return self.is_active and not self.lock_step
+
+    def load_elsewhere(self, choices: Choices) -> Future:
+        """Load choices in another process; the future holds the outcome."""
+        future = Future()
+        self.loader = Background(self.files_ready.trigger)
+        self.loader.submit(future, load_choices, choices, self.supervisor.number + 1)
+        return future
+
+    def on_files(self) -> None:
+        """Pass on the outcome of the other process, and end it."""
+        for future, outcome in self.loader.take() if self.loader else ():
+            future.set_result(outcome)
+            self.stop_loader()
+
+    def stop_loader(self) -> None:
+        """End the process that loads files."""
+        if self.loader:
+            self.loader.close()
+        self.loader = None
 
     def choices(self, changed: dict[str, Any]) -> Choices:
         """Return the choices of the parameters, some of them changed."""
@@ -64,7 +176,11 @@ class ConfiguredNode(ManagedNode):
 
     def offer_changes(self) -> None:
         """Accept new parameters and offer the service `~/reload` while configured."""
-        reload = self.create_service(Trigger, "~/reload", self.on_reload)
+        group = self.file_group
+        self.files_ready = self.create_guard_condition(self.on_files)
+        self.while_configured.callback(self.destroy_guard_condition, self.files_ready)
+        self.while_configured.callback(self.stop_loader)
+        reload = self.create_service(Trigger, "~/reload", self.on_reload, callback_group=group)
         self.while_configured.callback(self.destroy_service, reload)
         self.add_on_set_parameters_callback(self.on_parameters)
         self.while_configured.callback(self.remove_on_set_parameters_callback, self.on_parameters)
@@ -74,36 +190,51 @@ class ConfiguredNode(ManagedNode):
         changed = {each.name: each.value for each in parameters}
         try:
             if set(changed) & set(RUN_TIME):
-                self.reconfigure(self.choices(changed))
+                choices, (loaded, self.loaded) = self.choices(changed), (self.loaded, None)
+                outcome = loaded[1] if loaded and loaded[0] == choices else None
+                self.reconfigure(outcome.result() if outcome else self.load_here(choices))
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.supervisor.inject_qp_fault(changed.get("qp_fault", self.supervisor.qp_fault))
         return SetParametersResult(successful=True)
 
-    def reconfigure(self, choices: Choices) -> None:
-        """Switch to other choices; an error changes nothing.
+    def load_here(self, choices: Choices) -> LoadedChoices:
+        """Load choices at once.
 
         Raises:
-            ValueError: A file or value is wrong, or the sample time differs.
+            ValueError: A file or value is wrong.
         """
-        config, running = configuration(choices), self.supervisor.config.settings.sample_time
+        return load_choices(choices, self.supervisor.number + 1)
+
+    def reconfigure(self, loaded: LoadedChoices) -> None:
+        """Switch to another configuration; an error changes nothing.
+
+        Raises:
+            ValueError: The sample time differs, or the gains are numerically singular.
+        """
+        config, running = loaded.config, self.supervisor.config.settings.sample_time
         if config.settings.sample_time != running:
             raise ValueError(
                 f"sample_time = {config.settings.sample_time:g} s must stay {running:g} s while "
                 "the controller is configured"
             )
-        self.supervisor.reconfigure(config, gain_file(choices))
-        self.publish_configuration()
+        self.supervisor.reconfigure(config, loaded.source)
+        fits = loaded.number == self.supervisor.number
+        self.publish_configuration(loaded.text if fits else "")
 
-    def publish_configuration(self) -> None:
-        """Publish the configuration in use."""
-        self.outputs.publish_configuration(self.supervisor)
+    def publish_configuration(self, text: str = "") -> None:
+        """Publish the configuration in use; `text` where it is already written."""
+        self.outputs.publish_configuration(self.supervisor, text)
         self.get_logger().info(f"configuration {self.supervisor.number} in use")
 
-    def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Read gains, limits and guard from their files again; an error changes nothing."""
+        choices = self.choices({})
         try:
-            self.reconfigure(self.choices({}))
+            if self.loads_elsewhere:
+                self.reconfigure((await self.load_elsewhere(choices)).result())
+            else:
+                self.reconfigure(self.load_here(choices))
         except ValueError as error:
             self.get_logger().error(f"not reloaded: {error}")
             response.success, response.message = False, str(error)

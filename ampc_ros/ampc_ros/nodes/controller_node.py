@@ -1,20 +1,30 @@
 """Node `controller`: path and state in, steering out. `ros2 run ampc_ros controller`."""
 
 import math
+import pickle
 import sys
 import time
+from contextlib import suppress
+from typing import NamedTuple
 
+import numpy as np
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import spin
-from ampc_msgs_config.types import NANOSECONDS, WARN, TickRecord
+from ampc_msgs_config.nodes.inputs import Inputs
+from ampc_msgs_config.nodes.silent_clock import SilentClock
+from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
+from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
+from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
+from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.health import (
     Condition,
@@ -29,11 +39,27 @@ REPORT_PAUSE = 0.1
 """Shortest wall time between two reports of changes [s]."""
 
 
+class ReceivedPath(NamedTuple):
+    """A serialised path, before it is built."""
+
+    data: bytes
+    stamp_ns: int
+    arrival_ns: int
+    frame_id: str
+
+
 class ControllerNode(ConfiguredNode):
-    """Steers on a timer of the node's clock, or in lock-step once for every state."""
+    """Steers on a timer of the node's clock, or in lock-step once for every state.
+
+    In real time another process builds the path, so that a large one does not delay a command. The
+    executor takes the result between two callbacks. In lock-step everything is synchronous.
+    """
 
     policy: TickPolicy
     timer: Timer
+    builder: Background | None = None
+    inputs: Inputs
+    frame: FixedFrame
 
     def __init__(self) -> None:
         """Declare everything; configure and activate where `autostart` is true."""
@@ -44,12 +70,19 @@ class ControllerNode(ConfiguredNode):
         self.commands = 0
         """Number of published commands."""
         self.declare_choices()
-        self.create_timer(1.0, self.on_diagnostics)
+        self.clock_check = SilentClock(self)
+        # In real time, the clock that no other clock can stop.
+        clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.on_diagnostics, clock=clock)
         self.start()
 
     def set_up(self) -> None:
         """Load and compile everything; only then publish and subscribe."""
+        self.start_builder()
         self.load()
+        self.frame = FixedFrame(self, self.get_parameter("fixed_frame").value)
+        self.newest_path: ReceivedPath | None = None
+        self.path_frame = self.child_frame = ""
         self.policy = TickPolicy(self.supervisor, lock_step=self.lock_step)
         self.outputs = Outputs(self, lock_step=self.lock_step)
         self.while_configured.callback(self.outputs.destroy)
@@ -59,18 +92,42 @@ class ControllerNode(ConfiguredNode):
 
     def subscribe(self) -> None:
         """Subscribe to all inputs and offer the service `~/reset_stop`."""
+        self.inputs = inputs = Inputs(self)
+        self.while_configured.callback(inputs.destroy)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
-        inputs = [
-            (PathMessage, ros.REFERENCE_PATH, self.on_path, ros.LATCHED),
-            (Odometry, ros.ODOM, self.on_odometry, qos),
-        ]
+        on_path = self.on_path if self.lock_step else self.on_serialized_path
+        raw = not self.lock_step
+        inputs.add(PathMessage, ros.REFERENCE_PATH, on_path, *ros.ANY_PUBLISHER, raw=raw)
+        inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:  # there, the order of odom and steering_state is undefined
-            inputs.append((JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST))
-        release = self.while_configured.callback
-        for each in inputs:
-            release(self.destroy_subscription, self.create_subscription(*each))
+            inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
         reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
-        release(self.destroy_service, reset_stop)
+        self.while_configured.callback(self.destroy_service, reset_stop)
+
+    def start_builder(self) -> None:
+        """Start the process that builds paths, in real time."""
+        if not self.lock_step:
+            self.path_ready = self.create_guard_condition(self.on_built_path)
+            self.while_configured.callback(self.destroy_guard_condition, self.path_ready)
+            self.restart_builder()
+            self.while_configured.callback(self.stop_builder)
+
+    def restart_builder(self) -> None:
+        """Start another process."""
+        self.built = BuiltPath(None, None)
+        self.builder = Background(self.path_ready.trigger, NICENESS)
+        self.builder.submit(None, prepare)
+
+    def stop_builder(self) -> None:
+        """End the process that builds paths."""
+        if self.builder:
+            self.builder.close()
+
+    def destroy_node(self) -> None:
+        """End the background processes with the node."""
+        self.stop_builder()
+        self.stop_loader()
+        super().destroy_node()
 
     def begin(self) -> None:
         """Start to steer from the angle in force; earlier plans are forgotten."""
@@ -96,15 +153,18 @@ class ControllerNode(ConfiguredNode):
             self.finish()
 
     def on_path(self, message: PathMessage) -> None:
-        """Use a new path; an invalid one is rejected and the old one kept.
+        """Use a new path at once; an invalid one is rejected and the old one kept.
 
         Raises:
             ValueError: In lock-step there is no old one: all nodes would wait for ever.
         """
-        stamp_ns = ros.nanoseconds(message.header.stamp)
+        stamp_ns, frame_id = ros.nanoseconds(message.header.stamp), message.header.frame_id
         now_ns = stamp_ns if self.lock_step else self.now_ns
         try:
-            self.supervisor.take_path(ros.path_points(message), stamp_ns, now_ns)
+            points: Array = np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
+            points = self.frame.shift(frame_id, stamp_ns).apply(points)
+            self.supervisor.take_path(points, stamp_ns, now_ns)
+            self.path_frame = frame_id
         except ValueError as error:
             if self.lock_step and self.supervisor.path is None:
                 raise
@@ -112,16 +172,105 @@ class ControllerNode(ConfiguredNode):
         if self.lock_step:
             self.act(self.policy.on_input())
 
+    def on_serialized_path(self, data: bytes) -> None:
+        """Have a new path built; an invalid one is rejected and the old one kept."""
+        try:
+            stamp_ns, frame_id = header_of(data)
+            ros.require_frame(ros.REFERENCE_PATH, frame_id)
+        except ValueError as error:
+            self.reject(error)
+            return
+        if not stamp_ns and not self.supervisor.config.static_path and self.now_ns > NANOSECONDS:
+            self.trouble = "reference_path: header.stamp = 0 must be the time of the path"
+        self.newest_path = ReceivedPath(data, stamp_ns, self.now_ns, frame_id)
+        try:
+            self.request_path()
+        except ValueError as error:
+            self.reject(error)
+
+    def request_path(self) -> None:
+        """Have the newest path built in the fixed frame.
+
+        Raises:
+            ValueError: There is no transform into the fixed frame; the path is kept.
+        """
+        received, config = self.newest_path, self.supervisor.config
+        if received is None:
+            return
+        shift = self.frame.shift(received.frame_id, received.stamp_ns)
+        noise = config.settings.known_path_noise
+        request = PathRequest(shift, config.chassis, config.max_angle, noise)
+        self.newest_path = None if self.frame.name else received
+        assert self.builder
+        tag = received._replace(data=b""), self.frame.name
+        self.builder.submit(tag, build_path, pickle.PickleBuffer(received.data), request)
+
+    def on_built_path(self) -> None:
+        """Use a path that the other process has built."""
+        assert self.builder
+        for tag, outcome in self.builder.take():
+            try:
+                built = outcome.result()
+                if tag:
+                    received, fixed_frame = tag
+                    self.use_path(received, fixed_frame, built)
+            except ValueError as error:
+                self.reject(error)
+        if not self.builder.is_alive:
+            self.restart_builder()
+
+    def use_path(self, received: ReceivedPath, fixed_frame: str, built: BuiltPath) -> None:
+        """Use a path, unless the first odometry has come in another frame in the meantime.
+
+        Raises:
+            ValueError: The controller cannot follow it; the last valid path is kept.
+        """
+        self.built = self.built if built.points is None else built
+        assert self.built.points is not None
+        if self.frame.name in (fixed_frame, received.frame_id):
+            times = received.stamp_ns, received.arrival_ns
+            self.supervisor.take_path(self.built.points, *times, self.built.path)
+            self.path_frame = received.frame_id
+
     def on_odometry(self, message: Odometry) -> None:
         """Use the newest state; an invalid one is rejected and the old one kept."""
         try:
-            restarted = self.policy.take_state(ros.vehicle_state(message), self.now_ns)
+            state = ros.vehicle_state(message)
+            if state.stamp_ns == 0 and not self.lock_step and self.now_ns > NANOSECONDS:
+                raise ValueError("odom: header.stamp = 0 must be the time of the measurement")
+            self.check_frames(message)
+            restarted = self.policy.take_state(state, self.now_ns)
         except ValueError as error:
             self.reject(error)
             return
         if restarted:
             self.get_logger().warning("time went backwards, or the car jumped: controller reset")
         self.act(self.policy.on_input())
+
+    def check_frames(self, message: Odometry) -> None:
+        """Check the frames of odometry; the first one decides whether the path can be used.
+
+        Raises:
+            ValueError: The frame differs from the fixed frame.
+        """
+        child = message.child_frame_id or "(empty)"
+        if child != self.child_frame and child.rpartition("/")[2] != ros.BASE_LINK:
+            meant = f"is taken for {ros.BASE_LINK}, see the parameter base_link_to_cg"
+            self.trouble = f"odom: child_frame_id = {child!r} {meant}"
+        self.child_frame = child
+        is_first = not self.frame.name
+        self.frame.accept(message.header.frame_id)
+        if not is_first:
+            return
+        kept, name = self.newest_path, self.frame.name
+        if self.path_frame not in ("", name):
+            self.supervisor.forget()
+        if kept and kept.frame_id == name:
+            self.newest_path = None
+        elif kept:
+            self.request_path()
+        elif self.path_frame:  # it was taken at once
+            self.frame.shift(self.path_frame, 0)
 
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
@@ -157,7 +306,7 @@ class ControllerNode(ConfiguredNode):
             timing = time.perf_counter() - start, self.policy.lateness_ns / NANOSECONDS
             self.commands += 1
             account = self.rejected, self.policy.missed, self.commands
-            self.outputs.publish_tick(record, timing, account)
+            self.outputs.publish_tick(record, timing, account, self.frame.name)
             self.report_change(record)
 
     def report_change(self, record: TickRecord) -> None:
@@ -182,9 +331,15 @@ class ControllerNode(ConfiguredNode):
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
         level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
+        problems = [self.clock_check.problem(), *self.inputs.mismatches()]
+        if any(problems):
+            level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         account = {"commands": self.commands, "missed_ticks": self.policy.missed}
         values = account | health_numbers(self.supervisor, self.policy.record)
         self.report(self.now_ns, sentence, values, level)
+        if self.frame.name:
+            with suppress(ValueError):  # still no transform
+                self.request_path()
 
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take back the request to stop."""

@@ -9,11 +9,14 @@ import sys
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
 from std_msgs.msg import Bool, String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.base_node import BaseNode, spin
+from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
+from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
 from ampc_msgs_config.scenarios.scenario_yaml import document, scenario_content
 from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
@@ -37,24 +40,32 @@ class PlannerNode(BaseNode):
         self.braking, self.stop_requested = Braking(), False
         self.newest: TwistStamped | None = None
         self.path_is_out = False
+        text = "frame of path and odom; empty: that of the first odom"
+        self.frame_id: str = declare(self, "fixed_frame", "", text)
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.speeds = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
-        self.create_subscription(Odometry, ros.ODOM, self.on_odometry, qos)
+        self.inputs = Inputs(self)
+        self.inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:
-            self.create_subscription(Bool, ros.STOP_REQUEST, self.on_stop_request, ros.LATCHED)
+            profiles = ros.ANY_PUBLISHER
+            self.inputs.add(Bool, ros.STOP_REQUEST, self.on_stop_request, *profiles)
             self.create_timer(BRAKING_PERIOD, self.on_braking_timer)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         text = document({"scenario": scenario_content(self.scenario)})
         self.configurations.publish(String(data=text))
-        self.create_timer(1.0, self.on_diagnostics)
+        self.clock_check = SilentClock(self)
+        # In real time, the clock that no other clock can stop.
+        clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.on_diagnostics, clock=clock)
         if self.now_ns > 0:
             self.publish_path(self.now_ns)
         self.get_logger().info(f"ready: {self.scenario.name}, {self.scenario.duration:g} s")
 
     def publish_path(self, stamp_ns: int) -> None:
         """Publish the path, latched."""
-        self.paths.publish(ros.path_message(self.scenario.points, stamp_ns))
+        frame_id = self.frame_id or ros.MAP
+        self.paths.publish(ros.path_message(self.scenario.points, stamp_ns, frame_id))
         self.path_is_out = True
 
     def on_odometry(self, message: Odometry) -> None:
@@ -66,7 +77,9 @@ class PlannerNode(BaseNode):
             return
         if self.unrecorded():
             return
-        if not self.path_is_out:
+        is_first, frame_id = not self.frame_id, message.header.frame_id
+        self.frame_id = self.frame_id or frame_id
+        if not self.path_is_out or (is_first and frame_id != ros.MAP):
             self.publish_path(state.stamp_ns)
         self.speeds.publish(self.speed_message(state))
 
@@ -104,6 +117,9 @@ class PlannerNode(BaseNode):
     def on_diagnostics(self) -> None:
         """Report health once a second and when a stop is requested or taken back."""
         level, sentence = self.health()
+        problems = [self.clock_check.problem(), *self.inputs.mismatches()]
+        if any(problems):
+            level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         speed = self.newest.twist.linear.x if self.newest else 0.0
         values = {"target_speed": speed, "stop_requested": float(self.stop_requested)}
         self.report(self.now_ns, sentence, values, level)

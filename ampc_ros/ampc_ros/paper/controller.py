@@ -3,7 +3,7 @@
 import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_frame import path_frame
 from ampc_msgs_config.types import Array, Diagnosis, Plan, VehicleState
 from ampc_ros.controller_interface import Controller
@@ -71,7 +71,7 @@ class LateralMpc(Controller):
 
         Args:
             state: State at `base_link`.
-            path: Reference path; a different object counts as a new path.
+            path: Reference path; a different object counts as a new path, joined at its entry.
 
         Raises:
             ValueError: The path is no graph over its chord.
@@ -102,4 +102,4 @@ class LateralMpc(Controller):
     def _take_path(self, path: Path) -> None:
         """Follow a new path: new inertial frame, no last state; the angle in force is kept."""
         self.road, self.path = (tuple(path), tuple(path_frame(path))), path
-        self.memory[HAS_LAST], self.memory[INDEX] = 0.0, NOT_CAUGHT
+        self.memory[HAS_LAST], self.memory[INDEX] = 0.0, path.entry

@@ -10,7 +10,7 @@ from ampc_ros.mpc.constraints import input_rows, output_rows, output_steps, row_
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import Limits
 from ampc_ros.mpc.laguerre import laguerre_sequence
-from ampc_ros.mpc.model import STATES, Vehicle, augment, zero_order_hold
+from ampc_ros.mpc.model import STATES, BicycleParameters, augment, zero_order_hold
 from ampc_ros.mpc.prediction import predict, quadratic_cost
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import blank_qp, count_active, scratch_numbers, solve_qp
@@ -38,7 +38,12 @@ class StepInput(NamedTuple):
 
 @in_place
 def build_qp(
-    vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput, qp: Qp, scratch: Scratch
+    vehicle: BicycleParameters,
+    gains: Gains,
+    limits: Limits,
+    step: StepInput,
+    qp: Qp,
+    scratch: Scratch,
 ) -> None:
     """Fill the QP of Eq. (17) in eta, and in the slack if outputs are bounded."""
     N_p, N_c, N, alpha, Q, R = gains
@@ -66,7 +71,12 @@ def build_qp(
 
 @inlined
 def paper_plan(
-    vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput, angles: Array, scratch: Scratch
+    vehicle: BicycleParameters,
+    gains: Gains,
+    limits: Limits,
+    step: StepInput,
+    angles: Array,
+    scratch: Scratch,
 ) -> QpResult:
     """Build and solve the QP of one tick, and apply its first increment.
 
@@ -97,7 +107,7 @@ def paper_plan(
     return QpResult(steering, count_active(multipliers), slack, iterations, status)
 
 
-def new_qp(vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput) -> Qp:
+def new_qp(vehicle: BicycleParameters, gains: Gains, limits: Limits, step: StepInput) -> Qp:
     """Return the QP of one tick in newly allocated memory; see `build_qp`."""
     N_p, N_c, N, _, _, _ = gains
     outputs = output_steps(N_p, N_c, limits.half_width)
@@ -107,7 +117,7 @@ def new_qp(vehicle: Vehicle, gains: Gains, limits: Limits, step: StepInput) -> Q
     return qp
 
 
-def check_conditioning(vehicle: Vehicle, gains: Gains, limits: Limits) -> None:
+def check_conditioning(vehicle: BicycleParameters, gains: Gains, limits: Limits) -> None:
     """Check that gains do not make E of Eq. (17) numerically singular.
 
     Raises:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
+from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
@@ -95,10 +95,10 @@ class PreviewMpc(Controller):
 
         Args:
             state: State at `base_link`.
-            path: Reference path; a different object counts as a new path and causes no jump.
+            path: Reference path; a different object counts as a new path, joined at its entry.
         """
         if path is not self.path:
-            self.path, self.memory[INDEX] = path, NOT_CAUGHT
+            self.path, self.memory[INDEX] = path, path.entry
         last_ns, self.last_ns = self.last_ns, state.stamp_ns
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
         points = np.empty((self.horizon, 3))

@@ -16,7 +16,7 @@ from ampc_ros.mpc.model import (
     STATES,
     V_Y,
     YAW_RATE,
-    Vehicle,
+    BicycleParameters,
     exponential_integrals,
     lateral_dynamics,
     zero_order_hold,
@@ -49,7 +49,7 @@ def blank_model(scratch: Scratch) -> SampledModel:
 
 @in_place
 def sample_model(
-    vehicle: Vehicle,
+    vehicle: BicycleParameters,
     v_x: float,
     T: float,
     actuator: Actuator,
@@ -92,7 +92,7 @@ def sample_model(
 
 @in_place
 def side_acceleration(
-    vehicle: Vehicle, v_x: float, T: float, change: Array, scratch: Scratch
+    vehicle: BicycleParameters, v_x: float, T: float, change: Array, scratch: Scratch
 ) -> float:
     """Return the lateral acceleration that explains an unmodelled change of v_y and r [m/s^2].
 
@@ -124,13 +124,13 @@ cornering_angle = in_place(parameters.cornering_angle)
 
 
 @in_place
-def steady_steering(vehicle: Vehicle, v_x: float, curvature: float) -> float:
+def steady_steering(vehicle: BicycleParameters, v_x: float, curvature: float) -> float:
     """Return the angle of steady-state cornering, kappa (L + K_us v^2) [rad]."""
     return curvature * (vehicle[2] + vehicle[3] + understeer_gradient(vehicle) * v_x**2)
 
 
 @in_place
-def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float) -> float:
+def road_steering(vehicle: BicycleParameters, v_x: float, curvature: float, change: float) -> float:
     """Return the angle that keeps the centre of gravity on a path of changing curvature [rad].
 
     Eq. (7) solved for delta with e_y = 0: a_y = v^2 kappa fixes the sum of the axle forces and
@@ -150,7 +150,7 @@ def road_steering(vehicle: Vehicle, v_x: float, curvature: float, change: float)
 
 
 @in_place
-def angle_bound(vehicle: Vehicle, v_x: float, u_max: float, a_y_max: float) -> float:
+def angle_bound(vehicle: BicycleParameters, v_x: float, u_max: float, a_y_max: float) -> float:
     """Return the angle bound that the tyre sets: min(u_max, a_y_max (L / v^2 + K_us)) [rad]."""
     L = vehicle[2] + vehicle[3]
     return min(u_max, cornering_angle(L, understeer_gradient(vehicle), v_x, a_y_max))

@@ -4,26 +4,19 @@ import math
 from typing import NamedTuple
 
 from ampc_msgs_config.compiled import in_place, inlined
-from ampc_msgs_config.parameters import FRICTION_SHARE
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.constraints import output_rows, output_steps, running_sum
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import InternalModel
 from ampc_ros.mpc.laguerre import laguerre_sequence
-from ampc_ros.mpc.model import STATES, V_Y, Vehicle
+from ampc_ros.mpc.model import STATES, V_Y
 from ampc_ros.mpc.prediction import advance_state, quadratic_cost
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import blank_qp, count_active, solve_qp
 from ampc_ros.mpc.small_matrices import Scratch, dot, matrix, vector
 from ampc_ros.mpc.tick_result import QpResult
-from ampc_ros.preview.model import (
-    E_PSI,
-    E_Y,
-    angle_bound,
-    blank_model,
-    road_steering,
-    sample_model,
-)
+from ampc_ros.preview.model import E_PSI, E_Y, blank_model, sample_model
+from ampc_ros.preview.nominal_steering import Road, nominal_steering
 
 SPEED_STEP = 0.02
 """Relative change of speed along the horizon below which the sampled model is reused."""
@@ -37,15 +30,6 @@ RETURN_ACCELERATION = 1.5
 """Lateral acceleration of a return [m/s^2]."""
 
 
-class Road(NamedTuple):
-    """Speed and curvature along the prediction horizon; entry 0 lies one tick back."""
-
-    speed: Array
-    """(H + 1,) [m/s]."""
-    curvature: Array
-    """(H + 1,) mean over each step [1/m]."""
-
-
 class Past(NamedTuple):
     """State and history at the start of the horizon."""
 
@@ -55,41 +39,6 @@ class Past(NamedTuple):
     """(n + 1,) commands still in the delay, the newest last [rad]."""
     disturbance: Array
     """(5,) estimated change of the state per tick that the model does not explain."""
-
-
-@in_place
-def nominal_steering(
-    model: InternalModel, road: Road, u: float, nominal: Array, bounds: Array
-) -> None:
-    """Fill the angles without correction: the angle in force plus the changes of the path's angle.
-
-    The sequence respects angle bounds and largest increment. If the angle in force exceeds its
-    bound, it returns at the largest increment. The sequence is therefore feasible by construction.
-
-    Args:
-        model: Vehicle and limits.
-        road: Speed and curvature along the horizon.
-        u: Angle in force [rad].
-        nominal: Receives the angles (H,) [rad].
-        bounds: Receives the bound of the angle at each step (H,) [rad].
-    """
-    vehicle, limits = model.vehicle, model.limits
-    step, a_y_max = limits.Delta_u_max, FRICTION_SHARE * limits.mu_g
-    before, offset = u, u - road_angle(vehicle, road, 0, limits.T)
-    for i in range(len(bounds)):
-        bound = angle_bound(vehicle, road.speed[i + 1], limits.u_max, a_y_max)
-        wanted = offset + road_angle(vehicle, road, i + 1, limits.T)
-        wanted = min(max(wanted, -bound), bound)
-        before = min(max(wanted, before - step), before + step)
-        nominal[i], bounds[i] = before, bound
-
-
-@in_place
-def road_angle(vehicle: Vehicle, road: Road, i: int, T: float) -> float:
-    """Return the angle that keeps the car on the path at entry i of the horizon [rad]."""
-    before, after = max(i - 1, 0), min(i + 1, len(road.curvature) - 1)
-    change = (road.curvature[after] - road.curvature[before]) / ((after - before) * T)
-    return road_steering(vehicle, road.speed[i], road.curvature[i], change)
 
 
 @in_place
@@ -231,7 +180,7 @@ def preview_plan(
     limits, H, u = model.limits, len(lateral), past.sent[len(past.sent) - 1]
     # Angles without correction: they follow the curvature of the path within all bounds
     bounds, aim = vector(scratch, H), vector(scratch, H)
-    nominal_steering(model, road, u, angles, bounds)
+    nominal_steering(model, road, u, angles, bounds, scratch)
     # Increments of the correction, Eq. (24), and the angles that they add up to
     L, S, Phi = matrix(scratch, N_c, N), matrix(scratch, N_c, N), matrix(scratch, N, H)
     laguerre_sequence(alpha, L)

@@ -31,7 +31,8 @@ from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
 from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickResult, diagnose
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
-from ampc_ros.preview.qp_assembly import Past, Road, preview_plan
+from ampc_ros.preview.nominal_steering import Road
+from ampc_ros.preview.qp_assembly import Past, preview_plan
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -72,7 +73,7 @@ class PathPosition(NamedTuple):
 
 @in_place
 def sample_road(path: Path, s: float, memory: Array, T: float, road: Road) -> None:
-    """Fill speeds and mean curvatures of the horizon, from one tick back to H ticks ahead.
+    """Fill speeds and mean curvatures of the horizon, and the curvatures of the road behind.
 
     Args:
         path: Reference path.
@@ -83,6 +84,9 @@ def sample_road(path: Path, s: float, memory: Array, T: float, road: Road) -> No
     """
     v_x, a_x = memory[LAST_SPEED], memory[ACCELERATION]
     road.speed[0], road.curvature[0] = v_x, curvature_between(path, s - v_x * T, s)
+    for j in range(len(road.behind)):
+        end = s - (j + 1) * v_x * T
+        road.behind[j] = curvature_between(path, end - v_x * T, end)
     left, fade = math.exp(-0.5 * T / ACCELERATION_FADE), math.exp(-T / ACCELERATION_FADE)
     for j in range(1, len(road.speed)):
         road.speed[j] = max(v_x + a_x * ACCELERATION_FADE * (1.0 - left), 0.0)
@@ -229,7 +233,7 @@ def preview_tick(
     if steers:
         # Horizon along the path, QP and first move
         H = gains.prediction_horizon + model.actuator.ticks
-        road = Road(vector(scratch, H + 1), vector(scratch, H + 1))
+        road = Road(vector(scratch, H + 1), vector(scratch, H + 1), vector(scratch, H))
         lateral, angles = vector(scratch, H), vector(scratch, H)
         sample_road(path, position.s, memory, T, road)
         past = Past(x, memory[SENT:], disturbance)

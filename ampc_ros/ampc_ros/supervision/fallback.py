@@ -40,6 +40,7 @@ from ampc_ros.supervision.feed_forward import FeedForward
     OFF_PATH,
     AGAINST_PATH,
     BACKWARDS,
+    PATH_ENDS,
 ) = range(len(REASONS))
 
 PLAN_TIME = 0.5
@@ -66,6 +67,8 @@ class FallbackChain:
         self.feed_forward = FeedForward(config.chassis, config.base_link_to_cg)
         self.period_ns = round(controller.period * NANOSECONDS)
         self.plan_ticks = round(PLAN_TIME / controller.period)
+        self.is_new_on_path = True
+        """Whether the controller has no memory of its place on the path."""
         self.qp_fault = False
         """Fault injection: every solution counts as failed."""
         self.restart(0.0)
@@ -73,6 +76,7 @@ class FallbackChain:
     def restart(self, steering: float) -> None:
         """Forget all earlier steps; `steering` is the angle in force [rad]."""
         self.controller.reset(steering)
+        self.is_new_on_path = True
         self.feed_forward.reset()
         self.plan = Plan(0, steering, 0.0, Diagnosis())
         self.angles: Array = np.array([steering])
@@ -105,9 +109,10 @@ class FallbackChain:
 
     def _step(self, state: VehicleState, path: Path, in_force: float) -> Plan:
         """Step the controller; a non-finite plan counts as not solved and resets the controller."""
-        plan = self.controller.step(state, path)
+        plan, self.is_new_on_path = self.controller.step(state, path), False
         if not is_finite(plan):
             self.controller.reset(in_force)
+            self.is_new_on_path = True
             plan = plan._replace(prediction=None, angles=None)
         elif not self.qp_fault:
             return plan

@@ -20,7 +20,11 @@ from ampc_msgs_config.types import (
     WARN,
     TickRecord,
 )
+from ampc_ros.supervision.fallback import OFF_PATH
 from ampc_ros.supervision.supervisor import Supervisor
+
+ROUGH_PATH = 0.03
+"""Noise of a path that raises a warning [m]."""
 
 
 class Health(NamedTuple):
@@ -55,9 +59,25 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
     elif not config.static_path and age > config.settings.path_late:
         conditions.append(Health(WARN, f"reference_path is {age:.1f} s old"))
 
+    # The path is empty, ends, or is rough.
+    if supervisor.no_path:
+        text = "reference_path is empty: a stop is requested until the next valid path"
+        conditions.append(Health(ERROR, text))
+    end, noise = supervisor.path_end, path_noise(supervisor)
+    if end.is_due or end.is_near:
+        stop = ": a stop is requested" if end.is_due else " at this speed"
+        text = f"reference_path ends in {end.remaining:.0f} m, within the braking distance{stop}"
+        conditions.append(Health(WARN, text))
+    if noise > ROUGH_PATH:
+        conditions.append(Health(WARN, f"path noise {100 * noise:.1f} cm"))
+
     # The command comes from a fallback, or was clipped, or the mode is not normal.
     if record:
         command, diagnosis = record.command, record.command.diagnosis
+        if command.reason == OFF_PATH and command.rung != STOP:
+            error, bound = abs(diagnosis.cross_track_error), config.settings.max_deviation
+            text = f"off_path: {error:.1f} m from the path, max_deviation = {bound:g} m"
+            conditions.append(Health(ERROR, f"{text}: a stop is requested"))
         if command.rung != OPTIMAL:
             stop = ": a stop is requested" if command.rung == STOP else ""
             text = f"steering by {RUNGS[command.rung]}, reason: {REASONS[command.reason]}{stop}"
@@ -85,6 +105,12 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
     return max(conditions, key=lambda each: each.level)
 
 
+def path_noise(supervisor: Supervisor) -> float:
+    """Return the noise of the points of the path in use [m]."""
+    path = supervisor.path
+    return float(getattr(path.value, "noise", 0.0)) if path else 0.0
+
+
 class Condition(NamedTuple):
     """Values that are reported as soon as they change."""
 
@@ -95,6 +121,7 @@ class Condition(NamedTuple):
     outside_table: float = 0.0
     path_is_old: bool = False
     stop_requested: bool = False
+    path_ends: bool = False
 
 
 def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
@@ -109,6 +136,7 @@ def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
         diagnosis.outside_table,
         not config.static_path and age > config.settings.path_late,
         supervisor.stop_requested,
+        supervisor.path_end.is_near,
     )
 
 
@@ -130,4 +158,6 @@ def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[st
     values = dict(zip(RECORD_QUANTITIES, quantities, strict=False))
     clips = {f"clipped_{limit}": n for limit, n in supervisor.clips.items() if n}
     rejected = {f"rejected_{cause}": n for cause, n in supervisor.rejected.items() if n}
-    return {**values, **clips, **rejected}
+    noise = path_noise(supervisor)
+    rough = {"path_noise": noise} if noise > 0 else {}
+    return {**values, **clips, **rejected, **rough}

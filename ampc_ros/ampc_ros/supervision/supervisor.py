@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import (
     LIMITS,
@@ -24,12 +25,21 @@ from ampc_ros.controller_interface import Controller
 from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.fallback import (
     NO_REASON,
+    OFF_PATH,
+    PATH_ENDS,
     PATH_LOST,
     STATE_LATE,
     STATE_LOST,
     FallbackChain,
 )
 from ampc_ros.supervision.guard import Guard
+from ampc_ros.supervision.monitors import (
+    DeviationMonitor,
+    Motion,
+    PathEndMonitor,
+    StopRequest,
+)
+from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
 
 
@@ -51,8 +61,10 @@ class Supervisor:
             ValueError: The gains make the controller's problem numerically singular.
         """
         self._filter = StateFilter()
+        self._progress = PathProgress()
         self._number, self._resets = number - 1, resets
-        self._stop_requested = False
+        self._stop = StopRequest()
+        self._deviation, self._path_end = DeviationMonitor(), PathEndMonitor()
         self._state: Received[VehicleState] | None = None
         self._path: Received[Path] | None = None
         self._points: Array | None = None
@@ -130,7 +142,17 @@ class Supervisor:
     @property
     def stop_requested(self) -> bool:
         """Whether a stop is requested."""
-        return self._stop_requested
+        return self._stop.requested
+
+    @property
+    def path_end(self) -> PathEndMonitor:
+        """Monitor of the end of the path."""
+        return self._path_end
+
+    @property
+    def no_path(self) -> bool:
+        """Whether the newest path is empty: a stop is requested until the next valid one."""
+        return self._stop.no_path
 
     @property
     def qp_fault(self) -> bool:
@@ -156,6 +178,7 @@ class Supervisor:
         """Restart the controller, from the angle in force or from another angle [rad]."""
         self._resets += 1
         self._measured = math.nan
+        self._deviation.approach()
         if steering is not None:
             self._guard.reset(steering)
         self._chain.restart(self.steering)
@@ -163,13 +186,17 @@ class Supervisor:
     def forget(self) -> None:
         """Restart and wait for new inputs: the earlier ones belong to another drive."""
         self._filter.reset()
+        self._progress.forget()
         self._state = self._path = self._points = None
+        self._stop.no_path = False
         self.clear_stop()
         self.restart()
 
     def clear_stop(self) -> None:
-        """Take back the request to stop."""
-        self._stop_requested = False
+        """Take back the request to stop; a car that is off its path may approach it again."""
+        if self._stop.requested:
+            self._deviation.approach()
+        self._stop.clear()
 
     def inject_qp_fault(self, on: bool) -> None:
         """Make every solution fail, or end this fault."""
@@ -184,6 +211,8 @@ class Supervisor:
         Raises:
             ValueError: The state contradicts the earlier ones; the last valid one is kept.
         """
+        if self._path is None:  # a car may wait at its start, with the speed that it will have
+            self._filter.reset()
         verdict = self._filter.accept(state, now_ns)
         if not verdict.accepted:
             raise ValueError(verdict.reason)
@@ -211,19 +240,43 @@ class Supervisor:
         """Restart after a jump; a simulated car whose time goes back has straight wheels."""
         goes_back = self._state is not None and state.stamp_ns < self._state.stamp_ns
         self.restart(0.0 if goes_back and self.config.simulated_time else None)
+        if goes_back:
+            self._progress.forget()
+        else:
+            self._progress.relocate(self._centre(state))
 
-    def take_path(self, points: ArrayLike, stamp_ns: int, now_ns: int) -> None:
+    def take_path(
+        self, points: ArrayLike, stamp_ns: int, now_ns: int, checked: Path | None = None
+    ) -> None:
         """Use a path through points (n, 2) [m]; the points in use only renew its times.
+
+        An empty path means that there is none: a stop is requested until the next valid path, and
+        the car steers along the last one meanwhile.
+
+        Args:
+            points: (n, 2) positions in driving order [m].
+            stamp_ns: Stamp of the message [ns].
+            now_ns: Time of its arrival [ns].
+            checked: Result of `check_path` for these points; None: it is checked here.
 
         Raises:
             ValueError: The path cannot be driven; the last valid path is kept.
         """
         points = np.asarray(points, dtype=float)
+        if points.size == 0:
+            self._stop.no_path = True
+            if self._path:
+                self._path = Received(self._path.value, stamp_ns, now_ns)
+            return
         if self._path and self._points is not None and np.array_equal(points, self._points):
             self._path = Received(self._path.value, stamp_ns, now_ns)
+            self._stop.no_path = False
             return
-        noise = self.config.settings.known_path_noise
-        path = check_path(points, self.config.chassis, self.config.max_angle, path_noise=noise)
+        if checked is None:
+            noise = self.config.settings.known_path_noise
+            chassis, angle = self.config.chassis, self.config.max_angle
+            checked = check_path(points, chassis, angle, path_noise=noise)
+        path = checked
         self.follow(path, stamp_ns, now_ns)
         self._points = points
 
@@ -235,6 +288,7 @@ class Supervisor:
         """
         self.controller.check(path)
         self._path, self._points = Received(path, stamp_ns, now_ns), None
+        self._stop.no_path = False
 
     def correct(self, steering: float) -> None:
         """Continue from another angle than the one commanded last [rad]."""
@@ -270,7 +324,13 @@ class Supervisor:
         state, path, last = self._state, self._path, self.steering
         if state is None or path is None:
             return None
-        controller, is_path_lost = self.controller, self.is_path_lost(now_ns)
+        controller, settings = self.controller, self.config.settings
+        is_path_lost = self.is_path_lost(now_ns)
+
+        # A request to stop remains until `clear_stop`, or until its cause has ended.
+        complete = not (is_path_lost or self.is_state_late(now_ns))
+        if self._stop.resumes(now_ns, complete=complete) and settings.resume:
+            self.clear_stop()
 
         # Each measured angle is used once, by the controller and by the guard.
         measured, self._measured = self._measured, math.nan
@@ -279,15 +339,23 @@ class Supervisor:
 
         # The level of the fallback chain follows from the ages of state and path.
         stepped = False
-        if state.is_older(now_ns, self.config.settings.state_lost):
+        if state.is_older(now_ns, settings.state_lost):
             command = self._chain.stop(STATE_LOST, last, now_ns)
         elif self.is_state_late(now_ns):
             command = self._chain.advance(STATE_LATE, last, now_ns)
         else:
             stepped = True
-            command = self._chain.answer(state.value, path.value, last, now_ns)
-            if command.reason == NO_REASON and is_path_lost:
-                command = command._replace(reason=PATH_LOST)
+            location = self._progress.locate(
+                self._centre(state.value), path.value, renew=self._chain.is_new_on_path
+            )
+            self._chain.feed_forward.progress = self._progress.tracker
+            seen = location.seen(state.value)
+            command = self._chain.answer(seen, location.path, last, now_ns)
+            reason = self._monitor(state.value, location)
+            if command.reason == NO_REASON and (is_path_lost or self.no_path):
+                reason = reason or PATH_LOST
+            if reason and command.rung != STOP:
+                command = command._replace(reason=reason)
 
         # The guard clips the command, whatever its source.
         guarded = self._guard.step(
@@ -301,8 +369,12 @@ class Supervisor:
         if not stepped or guarded.steering != controller.steering:
             controller.take_over(guarded.steering, stepped=stepped)
 
-        # A request to stop remains until `clear_stop`.
-        self._stop_requested |= command.rung == STOP or is_path_lost
+        self._stop.inputs |= is_path_lost or (
+            command.reason in (STATE_LATE, STATE_LOST) and (command.rung == STOP)
+        )
+        self._stop.drive |= command.reason in (OFF_PATH, PATH_ENDS) or (
+            command.rung == STOP and command.reason not in (STATE_LATE, STATE_LOST)
+        )
         return TickRecord(
             command._replace(
                 stamp_ns=state.stamp_ns,
@@ -313,11 +385,28 @@ class Supervisor:
             *state.ages(now_ns),
             *path.ages(now_ns),
             measured,
-            float(self._stop_requested),
+            float(self.stop_requested),
             self._resets,
             self._number,
             float(self.qp_fault),
         )
+
+    def _monitor(self, state: VehicleState, location: Location) -> int:
+        """Return the reason for a stop that state and path give, or NO_REASON."""
+        settings, path = self.config.settings, location.path
+        motion = Motion(state.stamp_ns, state.v_x)
+        self._path_end.observe(
+            motion,
+            math.inf if path.closed else path.length - location.s,
+            settings.end_deceleration,
+        )
+        if self._deviation.observe(motion, location, settings.max_deviation):
+            return OFF_PATH
+        return PATH_ENDS if self._path_end.is_due else NO_REASON
+
+    def _centre(self, state: VehicleState) -> VehicleState:
+        """Return the state at the centre of gravity, which is projected onto the path."""
+        return at_distance(state, self.config.base_link_to_cg)
 
     def is_state_late(self, now_ns: int) -> bool:
         """Return whether the newest state is too old to wait for another one."""

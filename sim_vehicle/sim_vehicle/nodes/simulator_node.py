@@ -27,7 +27,7 @@ from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import STEP_NS
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
@@ -71,7 +71,7 @@ class SimulatorNode(BaseNode):
     def _load_configuration(self) -> SimulatorConfiguration:
         """Declare the parameters of scenario and car, and load the files that they name."""
         scenario = declare_scenario(self)
-        vehicle = load_vehicle(find("vehicles", self.get_parameter("vehicle").value))
+        vehicle = load_vehicle_file(find("vehicles", self.get_parameter("vehicle").value))
         friction = declare(self, "friction", -1.0, "mu of the road; -1: that of the tyres", (-1, 3))
         name = declare(self, "noise", "", "measurement noise: shipped name or YAML file")
         seed = declare(self, "seed", 0, "seed of the noise", (0, 2**31 - 1))

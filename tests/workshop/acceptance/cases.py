@@ -11,7 +11,7 @@ import numpy as np
 
 from ampc_msgs_config.config import find
 from ampc_ros.preview.controller import PreviewMpc
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run_all, shipped_controller
 
@@ -79,7 +79,7 @@ SPEEDS = (1.0, 3.0, 5.0, 9.0, 15.0, 20.0, 27.0, 33.0, 40.0)
 
 def eigenvalues(car: str, delay: float, name: str) -> Measured:
     """Return spectral radius and margin of unknown delay at each speed, and the worst of each."""
-    vehicle = load_vehicle(find("vehicles", car))
+    vehicle = load_vehicle_file(find("vehicles", car))
     steering = replace(vehicle.steering, delay=delay)
     steers = shipped_controller(name, car, vehicle.chassis, steering)
     assert isinstance(steers, PreviewMpc)

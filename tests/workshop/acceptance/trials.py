@@ -22,7 +22,7 @@ from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 from tests.workshop.acceptance.independent_plant import (
     Disturbance,
     IndependentSimulation,
@@ -118,7 +118,7 @@ def with_errors(finished: Drive, scenario: Scenario, vehicle: Vehicle) -> Simula
 def assumed_vehicle(trial: Trial) -> Vehicle:
     """Return the vehicle that the controller assumes."""
     independent = trial.car == "independent"
-    vehicle = load_vehicle(find("vehicles", "ordinary" if independent else trial.car))
+    vehicle = load_vehicle_file(find("vehicles", "ordinary" if independent else trial.car))
     if independent:
         chassis, steering = assumed_parameters(INDEPENDENT)
         return vehicle._replace(chassis=chassis, steering=steering)

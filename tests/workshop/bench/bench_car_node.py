@@ -20,7 +20,7 @@ from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 SETTLING = 2.0
 """Duration of the drive before the measurement [s]."""
@@ -42,7 +42,7 @@ class BenchCarNode(BaseNode):
         )
         self.pid = declare(self, "pid", 0, "process number of the controller", (0, 2**31 - 1))
         self.result = Path(declare(self, "result", "row.json", "result file"))
-        vehicle = load_vehicle(find("vehicles", "paper"))
+        vehicle = load_vehicle_file(find("vehicles", "paper"))
         self.simulation = Simulation(vehicle, load_scenario("circle", vehicle.size))
         self.simulation.advance(0.0, SPEED, NANOSECONDS // self.rate)
         self.angle: float | None = None

@@ -21,7 +21,7 @@ from ampc_ros.mpc.active_set import active_set, active_set_numbers
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.mpc.internal_model import Limits, limits_of
 from ampc_ros.mpc.laguerre import laguerre_sequence
-from ampc_ros.mpc.model import Vehicle
+from ampc_ros.mpc.model import BicycleParameters
 from ampc_ros.mpc.qp import SOLVED, Qp
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import Scratch, make_scratch, vector
@@ -32,13 +32,13 @@ from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.fleet import LOG_STEERING
 from launch_scripts.tuning.fleet_rows import Entry, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.filled import solve_in, solver_memory
 
 CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
-VEHICLE: Vehicle = astuple(CHASSIS)
+VEHICLE: BicycleParameters = astuple(CHASSIS)
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
-CAR = load_vehicle(find("vehicles", "paper"))
+CAR = load_vehicle_file(find("vehicles", "paper"))
 ROADS = ("sc1", "sc2", "sc3_constant", "sc3_wind")
 GAINS = load_gain_table("table3").nodes[0]
 """Sizes of the paper: (45, 15, 5)."""
@@ -111,7 +111,7 @@ def tick_inside(gains: Gains, tick: StepInput, times: int) -> Callable[[], objec
 
 @in_place
 def plan_often(
-    vehicle: Vehicle,
+    vehicle: BicycleParameters,
     gains: tuple[Any, ...],
     bounds: tuple[Any, ...],
     tick: tuple[Any, ...],

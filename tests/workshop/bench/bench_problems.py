@@ -21,11 +21,11 @@ from ampc_ros.controller import make_controller
 from ampc_ros.mpc.qp import Qp
 from ampc_ros.paper.qp_assembly import StepInput
 from sim_vehicle.closed_loop import Simulation, drive
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 from tests.workshop.bench.bench_ours import GAINS, SETTINGS, Task, laguerre, qp_of
 from tests.workshop.bench.bench_qp import exact_move, one_sided
 
-CAR = load_vehicle(find("vehicles", "paper"))
+CAR = load_vehicle_file(find("vehicles", "paper"))
 SCENARIOS = ("sc3_constant", "sc2")
 KINDS = ("recorded", "perturbed", "lane with slack", "repeated rows", "hard lane", "infeasible")
 SPREAD = np.array([0.3, 0.03, 0.1, 0.2, 1.5])

@@ -24,7 +24,7 @@ from launch_scripts.reporting.style import BLUE, ORANGE
 from launch_scripts.tuning.fitness import GENTLE, Node, fitness, prepared, repeat_for_gain_sets
 from launch_scripts.tuning.fleet_rows import FleetRun, map_rows, run_fleet
 from launch_scripts.tuning.workers import open_workers
-from sim_vehicle.parameters import load_vehicle
+from sim_vehicle.parameters import load_vehicle_file
 
 mpl.use("Agg")
 SPEEDS = (8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0)
@@ -43,7 +43,7 @@ Times = dict[str, list[float]]
 
 def generation(sizes: dict[str, int]) -> list[FleetRun]:
     """Prepare a generation of the given sizes, with ticks of 0.1 s."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     nodes = [Node(vehicle, "preview", "robust", v) for v in SPEEDS[: sizes["nodes"]]]
     rows = np.array([GENTLE] * sizes["particles"], dtype=float)
     return [repeat_for_gain_sets(shortened(prepared(node), sizes), rows) for node in nodes]
@@ -82,7 +82,7 @@ def growth_exponents(times: Times) -> dict[str, float]:
 
 def gain_of_threads(count: int, rounds: int) -> float:
     """Return the speed-up of a number of threads: the median of the ratios."""
-    vehicle = load_vehicle(find("vehicles", "paper"))
+    vehicle = load_vehicle_file(find("vehicles", "paper"))
     nodes = [Node(vehicle, "preview", "robust", v) for v in SPEEDS]
     rows = np.array([GENTLE] * 8, dtype=float)
     ratios = [_seconds(nodes, rows, 1) / _seconds(nodes, rows, count) for _ in range(rounds)]

@@ -15,7 +15,7 @@ from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import Vehicle, load_vehicle
+from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from tests.workshop.fault_matrix.fault_loop import ODOM_NS, FaultyDrive, Log
 from tests.workshop.fault_matrix.inject_cases import Case, allowed_reason
 
@@ -104,7 +104,7 @@ class Bench:
             ValueError: A name is unknown, or a file is missing or wrong.
         """
         self.conditions = conditions
-        self.vehicle: Vehicle = load_vehicle(find("vehicles", conditions.vehicle))
+        self.vehicle: Vehicle = load_vehicle_file(find("vehicles", conditions.vehicle))
         self.config: Configuration = configuration(
             Choices(conditions.controller, conditions.vehicle, guard=conditions.guard)
         )
