@@ -98,7 +98,7 @@ def draw(before: Sequence[Curve], after: Sequence[Curve], file: File) -> None:
         ax.text(0.0, 1.2 * LOST, "lost: the drive ends", fontsize=8, color="#777777")
         ax.grid(alpha=0.25)
     panels[0].set_ylabel("largest error against the true road [m]")
-    panels[1].legend(loc="lower right", fontsize=7.5)
+    panels[1].legend(loc="lower right", fontsize=7, ncols=2)
     save_png(figure, file)
 
 
