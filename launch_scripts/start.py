@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
@@ -30,6 +31,8 @@ FAULTED = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """Topics that the controller receives from the injector during fault injection."""
 GRACE_AFTER_NODE_DEATH = 1.5
 """Wall time during which the other nodes continue without a dead node, in real time [s]."""
+STOP_REQUESTED = "a stop is requested"
+"""In the log line of the controller about a stop request."""
 DISPENSABLE = {"markers"}
 """Nodes whose end does not end the drive."""
 NODE_DIED, WRONG_SET_UP = 1, 2
@@ -169,6 +172,16 @@ def print_reactions(nodes: Processes, console: Console) -> None:
             console.print(f"  {name}: {line}", markup=False)
 
 
+def print_stop_request(log: Path, console: Console) -> None:
+    """Print the first line of the controller about a stop request, if there is one."""
+    lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+    for line in lines:
+        if STOP_REQUESTED in line:
+            said = line[line.index(STOP_REQUESTED) :]
+            console.print(Text.assemble(("warning:", "yellow"), f" controller: {said}"))
+            return
+
+
 def print_error(console: Console, error: Exception) -> None:
     """Print one line."""
     console.print(Text.assemble(("error:", "red"), f" {error}"))
@@ -183,6 +196,7 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
 
     try:
         console.print(write_result(run, str(ended)))
+        print_stop_request(run.folder / "log" / "controller.log", console)
         files = "bag, report.html, report.json, metrics.json, logs"
         console.print(f"{files}: {run.folder}", markup=False)
         with open_bag(run.bag) as bag:

@@ -314,3 +314,19 @@ def test_speed_of_the_real_drive_is_what_its_satellite_receiver_measured() -> No
     profile = from_csv(file).speed
     read = np.array([speed_at(profile, float(s)) for s in distance])
     assert float(np.abs(read - table["gps_speed_mps"]).mean()) < 0.2
+
+
+def test_a_point_beside_the_path_and_a_speed_beyond_the_tyres_are_reported(tmp_path: Path) -> None:
+    s = np.arange(0.0, 120.0, 0.5)
+    x, y = 20.0 * np.sin(s / 20.0), 20.0 * (1.0 - np.cos(s / 20.0))
+    y[100] += 0.8
+
+    def note(speed: float) -> str:
+        rows = "".join(f"{a:.4f},{b:.4f}\n" for a, b in zip(x, y, strict=True))
+        return from_csv(csv_file(tmp_path, f"x_m,y_m\n{rows}"), speed=speed).note
+
+    assert "point 101 lies 0." in note(5.0)
+    assert "demands" not in note(5.0)
+    assert "more than tyres on dry asphalt allow" in note(15.0)
+    y[100] -= 0.8
+    assert "lies" not in note(5.0)

@@ -60,7 +60,7 @@ def hairpin(between: float = 2.0, radius: float = 9.0) -> Array:
 
 
 ROADS: dict[str, tuple[Callable[[], Array], float]] = {
-    "crossing": (lambda: lissajous(-0.5, math.tau - 0.9), 8.0),
+    "crossing": (lambda: lissajous(-0.5, math.tau - 0.9, 80.0), 8.0),
     "figure_eight": (lambda: lissajous(0.2, math.tau + 1.0, 60.0), 7.0),
     "parallel_laps": (laps, 8.0),
     "hairpin": (hairpin, 4.0),
@@ -130,7 +130,8 @@ SENDINGS = {
 @pytest.mark.parametrize(
     ("road", "sending", "car"),
     [
-        *product(ROADS, ["each_second", "shifted", "window", "reload"], ["paper", "ordinary"]),
+        *product(ROADS, ["shifted", "window", "reload"], ["paper", "ordinary"]),
+        ("crossing", "each_second", "ordinary"),
         # A path for each tick takes seconds a drive; figure_eight crosses itself, too.
         *product(["hairpin"], ["shifted_each_tick"], ["paper", "ordinary"]),
         ("figure_eight", "shifted_each_tick", "paper"),

@@ -21,6 +21,7 @@ from launch_scripts import start
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from launch_scripts.run.processes import Processes
+from launch_scripts.start import print_stop_request
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.bag_samples import is_complete, read
@@ -293,3 +294,16 @@ def test_what_a_node_says_about_compiling_is_shown_once(
         for _ in range(3):
             start.print_compilation(nodes, Console(), told)
     assert capsys.readouterr().out == "compiling the controller (once ...) ...\n"
+
+
+def test_a_stop_request_is_printed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "controller.log"
+    print_stop_request(log, Console())
+    log.write_text(
+        "[INFO] [1.5] [controller]: ready\n"
+        "[WARN] [2.5] [controller]: a stop is requested, reason: off_path\n"
+        "[WARN] [3.5] [controller]: a stop is requested, reason: state_lost\n"
+    )
+    print_stop_request(log, Console())
+    said = capsys.readouterr().out
+    assert said == "warning: controller: a stop is requested, reason: off_path\n"

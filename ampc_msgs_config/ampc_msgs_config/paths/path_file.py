@@ -5,6 +5,7 @@ from pathlib import Path as File
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.csv_columns import read_path_table
@@ -18,6 +19,11 @@ from ampc_msgs_config.scenarios.scenario import (
     stopping_speed,
 )
 from ampc_msgs_config.types import Array
+
+FAR = 0.3
+"""Distance of a point from the smoothed path, beyond five times the noise, that is reported [m]."""
+MAX_DEMAND = 9.0
+"""Lateral acceleration above which a speed is reported as too high for a bend [m/s^2]."""
 
 
 class Route(NamedTuple):
@@ -100,7 +106,29 @@ def from_csv(
     duration = lap_time * (laps if path.closed else 1)
     shape = f"{'closed' if path.closed else 'open'}: {closure(points).reason}"
     note = f"{len(points)} points, {note}; {shape}; path noise {100 * path.noise:.1f} cm"
+    note += unusual(path, points, driven)
     return Scenario(file.stem, points, profile, math.floor(duration * 10) / 10, note=note)
+
+
+def unusual(path: Path, points: Array, speed: Array) -> str:
+    """Return a note on a point far from the path, and on a bend that is too fast; mostly empty.
+
+    Args:
+        path: Path of the points.
+        points: (n, 2) [m].
+        speed: Speed at each sample of the path [m/s].
+    """
+    text = ""
+    apart = np.asarray(KDTree(np.column_stack((path.x, path.y))).query(points)[0])
+    i = int(np.argmax(apart))
+    if apart[i] > FAR + 5.0 * path.noise:
+        text = f"; point {i + 1} lies {apart[i]:.2f} m beside the smoothed path"
+    demand = speed**2 * np.abs(path.curvature)
+    k = int(np.argmax(demand))
+    if demand[k] > MAX_DEMAND:
+        text += f"; {speed[k]:.3g} m/s at {k * path.spacing:.0f} m demands {demand[k]:.1f} m/s2, "
+        text += f"more than tyres on dry asphalt allow ({MAX_DEMAND:g} m/s2): lower the speed"
+    return text
 
 
 def _middle(values: Array) -> Array:

@@ -318,14 +318,13 @@ class ControllerNode(ConfiguredNode):
         self.failure, self.trouble = failure, failure or self.trouble
         before, now = self.condition, condition(self.supervisor, record)
         if now != before and time.monotonic() - self.reported > REPORT_PAUSE:
-            self.condition = now
+            self.condition, self.reported = now, time.monotonic()
             if line := describe_change(before, now):
                 self.get_logger().warning(line)
             self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
         """Report health once a second and after a change."""
-        self.reported = time.monotonic()
         if not self.is_active:
             state = lifecycle_state(self)
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)

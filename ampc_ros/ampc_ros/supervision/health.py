@@ -65,7 +65,7 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         conditions.append(Health(ERROR, text))
     end, noise = supervisor.path_end, path_noise(supervisor)
     if end.is_due or end.is_near:
-        stop = ": a stop is requested" if end.is_due else " at this speed"
+        stop = ": a stop is requested" if supervisor.stop_requested else " at this speed"
         text = f"reference_path ends in {end.remaining:.0f} m, within the braking distance{stop}"
         conditions.append(Health(WARN, text))
     if noise > ROUGH_PATH:
@@ -94,7 +94,7 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         if diagnosis.outside_table and len(axis) > 1:
             off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
             text = "lateral reference outside the gain table"
-            if off > 0:
+            if off >= 0.05:
                 text = f"{v_x:.1f} m/s is {off:.1f} m/s outside the gain table, valid from "
                 text += f"{axis[0]:g} to {axis[-1]:g} m/s"
             conditions.append(Health(WARN, f"{text}: nearest edge in use"))
