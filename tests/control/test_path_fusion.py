@@ -103,3 +103,15 @@ def test_laps_stay_closed(place: float) -> None:
     assert path.heading[-1] - path.heading[0] == pytest.approx(math.tau, abs=1e-6)
     assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 1.01 * path.spacing
     assert np.abs(np.diff(path.curvature)).max() < 1e-3
+
+
+@pytest.mark.parametrize("s_new", [-1e15, -1e6, -21.0, 1e6, 1e15])
+@pytest.mark.parametrize("s_old", [-1e15, 40.0, 1e15])
+def test_a_car_far_from_both_paths_needs_no_memory_and_gets_a_valid_entry(
+    s_old: float, s_new: float
+) -> None:
+    for old in (bend(0.0, 100.0), bend(0.0, 20.0)):
+        path = fused(old, s_old, bend(30.0, 130.0), s_new, 0.1)
+        assert 0 <= path.entry < len(path.x)
+        assert len(path.x) < 1000
+        assert np.isfinite(np.concatenate(path[1:5])).all()

@@ -24,10 +24,13 @@ from tests.workshop.acceptance.real_paths import (
     END,
     GUARDS,
     MAX,
+    REVERSALS,
     SPACINGS,
     SPEEDS,
+    STEP,
     Block,
     Observation,
+    Row,
     Target,
     blocks,
     clean_trials,
@@ -221,12 +224,24 @@ def test_a_page_receives_the_table_between_its_marks(tmp_path: Path) -> None:
         update(page, "")
 
 
-@pytest.mark.xfail(strict=True, reason="noise of path points is not smoothed yet")
-def test_the_reduced_grid_of_real_paths_is_measured() -> None:
+@pytest.fixture(scope="module")
+def reduced() -> dict[Target, Row]:
+    """Drive the reduced grid of real paths."""
     observations = [o for task in reduced_tasks(0) for o in task()]
-    rows = {row.target: row for row in real_rows(observations)}
-    assert {target for target in limits() if not target.name.startswith(NOT_REDUCED)} == set(rows)
-    assert {target: row.place for target, row in rows.items() if not row.holds} == {}
+    return {row.target: row for row in real_rows(observations)}
+
+
+def test_the_reduced_grid_of_real_paths_meets_the_bounds_of_errors(
+    reduced: dict[Target, Row],
+) -> None:
+    assert {each for each in limits() if not each.name.startswith(NOT_REDUCED)} == set(reduced)
+    missed = {target: row.place for target, row in reduced.items() if not row.holds}
+    assert {target for target in missed if target.quantity not in {REVERSALS, STEP}} == set()
+
+
+@pytest.mark.xfail(strict=True, reason="not met: steering reversals, steps in sparse windows")
+def test_the_reduced_grid_of_real_paths_meets_all_bounds(reduced: dict[Target, Row]) -> None:
+    assert {target: row.place for target, row in reduced.items() if not row.holds} == {}
 
 
 NOT_REDUCED = ("parallel laps", "hairpins")

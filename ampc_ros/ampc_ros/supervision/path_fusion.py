@@ -24,6 +24,8 @@ REACH, FADE = 60.0, 20.0
 """Range of the average from the car, and distance over which it fades to the new path [m]."""
 RUN_IN = 20.0
 """Distance behind the car from which an open path exists [m]."""
+MAX_LEAD = 20.0
+"""Longest distance from the car to the start of a path that is continued backwards [m]."""
 START = 5.0
 """Length of the beginning of a path whose curvature continues it backwards [m]."""
 
@@ -70,6 +72,8 @@ def fused(old: Path, s_old: float, new: Path, s_new: float, elapsed: float) -> P
     """
     here = min(max(round(s_new / new.spacing), 0), len(new.x) - 1)
     near = round((s_old + here * new.spacing - s_new) / old.spacing)
+    if not old.closed:
+        near = min(max(near, 0), len(old.x) - 1)
     origin = project_near(old, near, new.x[here], new.y[here]) - here * new.spacing
     reach = round(REACH / new.spacing)
     first, stop = here - reach, here + reach
@@ -127,8 +131,12 @@ def extended(path: Path, s: float, old: Path | None = None, origin: float = 0.0)
             beginning of the path.
         origin: Arc length of its place at the start of the path [m].
     """
-    missing = 0 if path.closed else max(math.ceil((RUN_IN - s) / path.spacing), 0)
-    entry = round(s / path.spacing) + missing
+    if path.closed:
+        return path._replace(entry=round(s / path.spacing))
+    if s < -MAX_LEAD:  # the path is elsewhere
+        return path._replace(entry=0)
+    missing = max(math.ceil((RUN_IN - s) / path.spacing), 0)
+    entry = min(round(s / path.spacing), len(path.x) - 1) + missing
     if not missing:
         return path._replace(entry=entry)
     first = max(min(round(START / path.spacing), len(path.x) - 1), 1)
