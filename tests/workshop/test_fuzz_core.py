@@ -98,6 +98,7 @@ def test_a_forgotten_request_to_stop_is_found(monkeypatch: pytest.MonkeyPatch) -
 
     def forgetful(self: Supervisor, now_ns: int) -> TickRecord | None:
         decision = tick(self, now_ns)
+        self._stop.clear()
         self._stop.drive = bool(decision and decision.command.rung == 4)
         return decision
 
