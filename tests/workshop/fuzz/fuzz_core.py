@@ -87,7 +87,7 @@ class Core:
         self.road = road
         self.supervisor = Supervisor(any_configuration(road.rng))
         self.policy = TickPolicy(self.supervisor)
-        self.was_requested = False
+        self.was_requested = self.had_no_path = False
         self.done: Counter[str] = Counter()
 
     def throw(self, kind: str) -> None:
@@ -155,9 +155,11 @@ class Core:
         if command.steering != self.supervisor.steering:
             raise Violation(f"{command.steering!r} is not {self.supervisor.steering!r}")
         self.check_limits(command.steering, command.steering_rate, last)
-        if self.was_requested > self.supervisor.stop_requested:
+        withdrawn = self.was_requested > self.supervisor.stop_requested
+        if withdrawn and not self.had_no_path:  # a valid path withdraws the request of an empty one
             raise Violation("the request to stop was lost")
         self.was_requested = self.supervisor.stop_requested
+        self.had_no_path = self.supervisor.no_path
 
     def check_limits(self, steering: float, rate: float, last: float) -> None:
         """Raise a Violation where a command exceeds the limits of the guard at the speed."""
