@@ -198,3 +198,19 @@ def test_jump_of_the_position_keeps_the_lap() -> None:
     location = progress.locate(at(path, s + 30.0, 1.0), path, renew=True)
     assert location.s == pytest.approx(s + 30.0, abs=0.5)
     assert location.path.entry == progress.tracker.index
+
+
+def test_a_path_that_the_controller_cannot_follow_when_averaged_is_used_as_it_came() -> None:
+    def refuse(path: Path) -> None:
+        if len(path.x) != len(new.x):
+            raise ValueError("longer than it came")
+
+    a = np.arange(0.0, 2.0, 0.02)
+    bend = 50.0 * np.column_stack((np.sin(a), 1.0 - np.cos(a)))
+    old, new = make_path(bend), make_path(bend[30:])
+    progress = PathProgress()
+    progress.locate(at(old, 27.0), old, renew=False)
+    assert len(progress.locate(at(old, 27.0), new, refuse, renew=False).path.x) == len(new.x)
+    progress = PathProgress()
+    progress.locate(at(old, 27.0), old, renew=False)
+    assert len(progress.locate(at(old, 27.0), new, renew=False).path.x) > len(new.x)

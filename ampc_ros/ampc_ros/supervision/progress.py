@@ -7,6 +7,7 @@ path to the controllers with its `entry`, the sample at which the car joins it.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +56,10 @@ class Location(NamedTuple):
         return car._replace(x=car.x + dx, y=car.y + dy)
 
 
+def no_check(path: Path) -> None:
+    """Accept every path."""
+
+
 class PathProgress:
     """Owner of the progress along the path in use."""
 
@@ -82,12 +87,20 @@ class PathProgress:
             apart = (apart + lap // 2) % lap - lap // 2
         self.tracker.index = int(self.tracker.index + apart[np.argmin(np.abs(apart))])
 
-    def locate(self, car: VehicleState, source: Path, *, renew: bool) -> Location:
+    def locate(
+        self,
+        car: VehicleState,
+        source: Path,
+        check: Callable[[Path], None] = no_check,
+        *,
+        renew: bool,
+    ) -> Location:
         """Project the car onto the path; on a new path, continue on the branch that it drives.
 
         Args:
             car: State of the centre of gravity.
-            source: Path as it was received.
+            source: Path as it was received; the controller can follow it.
+            check: Raises a ValueError where the controller cannot follow a path.
             renew: Whether the controller has no memory of its place on the path.
         """
         before = None
@@ -95,22 +108,32 @@ class PathProgress:
             self.tracker = Progress(source)
             s = self.tracker.advance(car.x, car.y, car.yaw)
             if s < 0.0 and not source.closed:
-                self.tracker = Progress(extended(source, s))
+                self.follow(extended(source, s), source, check)
             self.path_ns = car.stamp_ns
         elif source is not self.source:
             s, before = advance_errors(self.tracker, car)
-            joining = Progress(source._replace(entry=continued(self.tracker.path, s, source, car)))
+            plain = source._replace(entry=continued(self.tracker.path, s, source, car))
             elapsed = max(car.stamp_ns - self.path_ns, 0) / NANOSECONDS
-            s_new = joining.advance(car.x, car.y, car.yaw)
-            self.tracker = Progress(fused(self.tracker.path, s, source, s_new, elapsed))
+            s_new = Progress(plain).advance(car.x, car.y, car.yaw)
+            self.follow(fused(self.tracker.path, s, source, s_new, elapsed), plain, check)
             self.path_ns = car.stamp_ns
-        elif renew and self.tracker.index != self.tracker.path.entry:
-            self.tracker = Progress(self.tracker.path._replace(entry=self.tracker.index))
+        elif renew:
+            s, _ = advance_errors(self.tracker, car)
+            plain = source._replace(entry=continued(self.tracker.path, s, source, car))
+            self.follow(self.tracker.path._replace(entry=self.tracker.index), plain, check)
         self.source = source
         s, error = advance_errors(self.tracker, car)
         step = 0.0 if before is None else error - before
         self.blend(step, car.stamp_ns)
         return Location(self.tracker.path, s, error, step, self.blended)
+
+    def follow(self, path: Path, plain: Path, check: Callable[[Path], None]) -> None:
+        """Follow an averaged or continued path, or the plain one where the controller cannot."""
+        try:
+            check(path)
+        except ValueError:
+            path = plain
+        self.tracker = Progress(path)
 
     def blend(self, step: float, stamp_ns: int) -> None:
         """Let the shift of a new path reach the controllers gradually, unless it is large.

@@ -346,7 +346,10 @@ class Supervisor:
         else:
             stepped = True
             location = self._progress.locate(
-                self._centre(state.value), path.value, renew=self._chain.is_new_on_path
+                self._centre(state.value),
+                path.value,
+                controller.check,
+                renew=self._chain.is_new_on_path,
             )
             self._chain.feed_forward.progress = self._progress.tracker
             seen = location.seen(state.value)
