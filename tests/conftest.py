@@ -64,9 +64,9 @@ def own_domain(ros_domain: int, reserved: ExitStack, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("ROS_DOMAIN_ID", str(reserved.enter_context(domain_id(next_domain))))
 
 
-@pytest.fixture(scope="module")
-def own_domain_of_module() -> Iterator[None]:
-    """Reserve a ROS domain for the tests of a module, without nodes of other modules."""
+@pytest.fixture(scope="module", autouse=True)
+def own_domain_of_module(ros_domain: int) -> Iterator[None]:
+    """Reserve a ROS domain for the tests of a module, without nodes that other modules left."""
     with domain_id(next_domain) as number, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(number))
         yield
