@@ -89,20 +89,25 @@ def test_another_path_replaces_the_driven_one_at_once(shift: float) -> None:
     np.testing.assert_array_equal(fused(bend(0.0, 150.0), 60.0, new, 60.0, 0.1)[1:5], new[1:5])
 
 
-@pytest.mark.parametrize("place", [1.0, 100.0, 310.0])
-def test_laps_stay_closed(place: float) -> None:
-    a = np.arange(0.0, math.tau, 0.02)
-    lap = make_path(RADIUS * np.column_stack((np.sin(a), 1.0 - np.cos(a))))
+@pytest.mark.parametrize("radius", [10.0, 15.0, RADIUS])
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.99])
+def test_laps_stay_closed_and_smooth(share: float, radius: float) -> None:
+    """The laps of the small circles are shorter than the range of the average."""
+    a = np.arange(0.0, math.tau, 1.0 / radius)
+    lap = make_path(radius * np.column_stack((np.sin(a), 1.0 - np.cos(a))))
     other = make_path(
-        np.column_stack((0.1 + RADIUS * np.sin(a + 1.0), RADIUS - RADIUS * np.cos(a + 1.0)))
+        np.column_stack((0.1 + radius * np.sin(a + 1.0), radius - radius * np.cos(a + 1.0)))
     )
+    place = share * lap.length
     assert lap.closed
     assert other.closed
-    path = fused(lap, place, other, (place - RADIUS) % other.length, 0.1)
+    path = fused(lap, place, other, (place - radius) % other.length, 0.1)
     assert (path.x[0], path.y[0]) == (path.x[-1], path.y[-1])
-    assert path.heading[-1] - path.heading[0] == pytest.approx(math.tau, abs=1e-6)
-    assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 1.01 * path.spacing
-    assert np.abs(np.diff(path.curvature)).max() < 1e-3
+    turn = other.heading[-1] - other.heading[0]
+    assert path.heading[-1] - path.heading[0] == pytest.approx(turn)
+    assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 1.02 * path.spacing
+    assert np.hypot(path.x - 0.1, path.y - radius) == pytest.approx(radius, abs=0.12)
+    assert np.abs(np.diff(path.heading) / path.spacing - 1.0 / radius).max() < 0.01
 
 
 @pytest.mark.parametrize("s_new", [-1e15, -1e6, -21.0, 1e6, 1e15])

@@ -1,6 +1,7 @@
 """Publishers that are not ours: their QoS, frames, windows and sizes, over a real ROS graph."""
 
 import math
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -352,18 +353,21 @@ def test_commands_continue_while_a_path_of_many_poses_is_built(
     world.publish_path(STRAIGHT)
     world.spin_until(lambda: node.supervisor.path is not None)
     world.drive_for(5)
-    before = node.commands
+    before, process = node.commands, node.builder and node.builder._process
+    assert process
+
+    def is_in_use() -> bool:
+        assert node.supervisor.path
+        return len(node.supervisor.path.value.x) > 50_000
+
+    process.send_signal(signal.SIGSTOP)  # as if it were slow
     world.paths.publish(big)
     timer = world.create_timer(PERIOD, world.on_drive)
     world.last = time.monotonic()
-    spin_until(
-        executor,
-        lambda: (
-            node.supervisor.path is not None
-            and len(node.supervisor.path.value.x) > 50_000
-            and node.commands > before + 2
-        ),
-    )
+    spin_until(executor, lambda: node.commands > before + 10)
+    assert not is_in_use()
+    process.send_signal(signal.SIGCONT)
+    spin_until(executor, is_in_use)
     world.destroy_timer(timer)
     assert not node.supervisor.stop_requested
 

@@ -76,6 +76,8 @@ def fused(old: Path, s_old: float, new: Path, s_new: float, elapsed: float) -> P
         near = min(max(near, 0), len(old.x) - 1)
     origin = project_near(old, near, new.x[here], new.y[here]) - here * new.spacing
     reach = round(REACH / new.spacing)
+    if new.closed:  # no place of a lap is averaged twice
+        reach = min(reach, (len(new.x) - 1) // 2)
     first, stop = here - reach, here + reach
     if not new.closed:
         first, stop = max(first, 0), min(stop, len(new.x))
