@@ -107,6 +107,10 @@ class ControllerSettings(Checked):
     state_lost: Annotated[
         float, number(0.0, 10.0, "s", "Age of the state that requests a stop.")
     ] = 0.5
+    state_prediction: Annotated[
+        float,
+        number(0.0, 10.0, "s", "Longest prediction of a late state with the model; 0: none."),
+    ] = 3.0
     path_late: Annotated[
         float, number(0.0, 3600.0, "s", "Age of the path that raises a warning.")
     ] = 0.9

@@ -58,5 +58,8 @@ class Controller:
     def observe_steering(self, angle: float) -> None:
         """Use a measured road-wheel angle [rad]; by default it is ignored."""
 
+    def hold_estimates(self) -> None:
+        """Keep all estimates in the next step, whose state is predicted; by default none exist."""
+
     def inherit(self, other: "Controller") -> None:
         """Use the estimates of a controller of the same formulation; by default there are none."""

@@ -12,6 +12,7 @@ from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
+from ampc_ros.preview.state_filter import Noise, filter_gains
 from ampc_ros.preview.tick import (
     ACCELERATION,
     BEFORE,
@@ -51,8 +52,11 @@ class PreviewMpc(Controller):
             base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
                 gravity [m]; by default `odom` describes the rear axle.
         """
-        self.model_row = pack_internal_model(chassis, settings, steering, base_link_to_cg)
-        self.model: InternalModel = unpack_internal_model(self.model_row)
+        row = pack_internal_model(chassis, settings, steering, base_link_to_cg)
+        self.model: InternalModel = unpack_internal_model(row)
+        vehicle, actuator, T = self.model.vehicle, self.model.actuator, settings.sample_time
+        noise = Noise(0.1, 0.00873, 0.00873, 0.05)
+        self.model_row = np.append(row, filter_gains(vehicle, actuator, T, noise))
         self.period = settings.sample_time
         self.table = table.table
         ticks = self.model.actuator.ticks
@@ -119,6 +123,10 @@ class PreviewMpc(Controller):
             self.memory[-1] = steering
         else:
             store_command(self.memory, steering)
+
+    def hold_estimates(self) -> None:
+        """Use the next state, which is predicted, without filter, and keep the disturbance."""
+        self.memory[EXPECTS] = 0.0
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

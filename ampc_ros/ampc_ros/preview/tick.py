@@ -25,7 +25,7 @@ from ampc_msgs_config.types import (
     VehicleState,
 )
 from ampc_ros.mpc.gain_table import NONE, Table, look_up
-from ampc_ros.mpc.internal_model import InternalModel, unpack_internal_model
+from ampc_ros.mpc.internal_model import ROW_SIZE, InternalModel, unpack_internal_model
 from ampc_ros.mpc.model import DELTA, STATES
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
@@ -33,12 +33,10 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
+from ampc_ros.preview.state_filter import correct
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
-
-DISTURBANCE_GAIN = (0.3, 0.05, 0.3, 0.05, 0.3)
-"""Estimator gain: share of a new residual that enters the estimate in a tick, by state."""
 
 MAX_DISTURBANCE = (3.0, 0.05, 1.5, 0.5, 0.0)
 """Largest disturbance; a larger residual is a skid and no wind [unit of the state / s]."""
@@ -110,13 +108,16 @@ def locate(path: Path, car: VehicleState, memory: Array) -> PathPosition:
 
 
 @in_place
-def update_estimates(memory: Array, v_x: float, x: Array, elapsed: float, T: float) -> None:
-    """Update disturbance and acceleration from the residual of the last prediction.
+def update_estimates(
+    memory: Array, gains: Array, v_x: float, x: Array, elapsed: float, T: float
+) -> None:
+    """Filter the measured state, and update disturbance and acceleration.
 
     Args:
         memory: Changed in place.
+        gains: `filter_gains`.
         v_x: Speed [m/s].
-        x: State relative to the path (5,).
+        x: State relative to the path (5,), changed in place.
         elapsed: Time since the last step; nan if there was none [s].
         T: Step [s].
     """
@@ -127,12 +128,12 @@ def update_estimates(memory: Array, v_x: float, x: Array, elapsed: float, T: flo
     memory[ACCELERATION] += ACCELERATION_GAIN * ((v_x - last) / elapsed - memory[ACCELERATION])
     if memory[EXPECTS] == 0.0:
         return
+    expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
+    if v_x >= LEARN_ABOVE:
+        correct(gains, v_x, x, expected, disturbance)
     for i in range(STATES):
-        residual = x[i] - memory[EXPECTED + i] if v_x >= LEARN_ABOVE else 0.0
-        estimate = memory[DISTURBANCE + i]
-        estimate += DISTURBANCE_GAIN[i] * (residual - estimate)
         bound = MAX_DISTURBANCE[i] * T
-        memory[DISTURBANCE + i] = min(max(estimate, -bound), bound)
+        disturbance[i] = min(max(disturbance[i], -bound), bound)
 
 
 @in_place
@@ -224,7 +225,7 @@ def preview_tick(
     x[0], x[1], x[2], x[3] = car.v_y, math.sin(position.e_psi), car.yaw_rate, position.e_y
     x[DELTA] = memory[STATE_DELTA]
     # Disturbance and acceleration, from the residual of the last prediction
-    update_estimates(memory, car.v_x, x, elapsed, T)
+    update_estimates(memory, model_row[ROW_SIZE:], car.v_x, x, elapsed, T)
     # Gains at this speed
     gains, outside = look_up(table, memory[IN_USE : IN_USE + 2], car.v_x, 0.0)
     steers = position.mode == TRACKING or position.mode == PATH_END

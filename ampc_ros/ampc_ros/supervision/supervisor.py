@@ -13,6 +13,8 @@ from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import (
     LIMITS,
+    NANOSECONDS,
+    SHIFTED_PLAN,
     STOP,
     Array,
     Command,
@@ -41,6 +43,7 @@ from ampc_ros.supervision.monitors import (
 )
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
+from ampc_ros.supervision.state_prediction import StatePredictor
 
 
 class Supervisor:
@@ -70,6 +73,8 @@ class Supervisor:
         self._points: Array | None = None
         self._measured = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
+        self._answered_ns = -1
+        self._predictor = StatePredictor(config, 0.0)
         self._install(config, build_controller(config, source), 0.0)
 
     def reconfigure(self, config: Configuration, source: object = "gain table") -> None:
@@ -93,6 +98,8 @@ class Supervisor:
         self._guard.steering, self._guard.count = steering, self._clips
         self._chain = FallbackChain(config, controller)
         self._chain.restart(steering)
+        before, self._predictor = self._predictor, StatePredictor(config, steering)
+        self._predictor.inherit(before)
 
     @property
     def config(self) -> Configuration:
@@ -181,6 +188,7 @@ class Supervisor:
         self._deviation.approach()
         if steering is not None:
             self._guard.reset(steering)
+            self._predictor.reset(steering)
         self._chain.restart(self.steering)
 
     def forget(self) -> None:
@@ -294,6 +302,7 @@ class Supervisor:
         """Continue from another angle than the one commanded last [rad]."""
         if steering != self.steering:
             self._guard.reset(steering)
+            self._predictor.correct(steering)
             self.controller.take_over(self.steering, stepped=True)
 
     def take_steering(self, angle: float) -> None:
@@ -337,27 +346,32 @@ class Supervisor:
         if not math.isnan(measured):
             controller.observe_steering(measured)
 
-        # The level of the fallback chain follows from the ages of state and path.
-        stepped = False
-        if state.is_older(now_ns, settings.state_lost):
-            command = self._chain.stop(STATE_LOST, last, now_ns)
-        elif self.is_state_late(now_ns):
-            command = self._chain.advance(STATE_LATE, last, now_ns)
+        # The level of the fallback chain follows from the ages of state and path. A late state is
+        # continued by the model; beyond that the last plan is used.
+        stepped, is_late = False, self.is_state_late(now_ns)
+        missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
+        if is_late and not self.can_predict(now_ns):
+            follow = self._chain.stop if missing == STATE_LOST else self._chain.advance
+            command = follow(missing, last, now_ns)
         else:
             stepped = True
+            present = self._present(state.value, now_ns)
             location = self._progress.locate(
-                self._centre(state.value),
+                self._centre(present),
                 path.value,
                 controller.check,
                 renew=self._chain.is_new_on_path,
             )
             self._chain.feed_forward.progress = self._progress.tracker
-            seen = location.seen(state.value)
+            seen = location.seen(present)
             command = self._chain.answer(seen, location.path, last, now_ns)
-            reason = self._monitor(state.value, location)
+            reason = self._monitor(present, location)
             if command.reason == NO_REASON and (is_path_lost or self.no_path):
                 reason = reason or PATH_LOST
-            if reason and command.rung != STOP:
+            if is_late:
+                rung = STOP if missing == STATE_LOST else SHIFTED_PLAN
+                command, reason = command._replace(rung=max(command.rung, rung)), missing
+            if reason and (is_late or command.rung != STOP):
                 command = command._replace(reason=reason)
 
         # The guard clips the command, whatever its source.
@@ -371,6 +385,8 @@ class Supervisor:
         # The controller continues from the commanded angle where that is not its own.
         if not stepped or guarded.steering != controller.steering:
             controller.take_over(guarded.steering, stepped=stepped)
+
+        self._predictor.store(guarded.steering, now_ns)
 
         self._stop.inputs |= is_path_lost or (
             command.reason in (STATE_LATE, STATE_LOST) and (command.rung == STOP)
@@ -394,6 +410,14 @@ class Supervisor:
             float(self.qp_fault),
         )
 
+    def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
+        """Return the state at the time of the tick; the estimates wait for a new measurement."""
+        if state.stamp_ns == self._answered_ns:
+            self.controller.hold_estimates()
+        self._answered_ns = state.stamp_ns
+        longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
+        return self._predictor.predict(state, min(now_ns, state.stamp_ns + longest_ns))
+
     def _monitor(self, state: VehicleState, location: Location) -> int:
         """Return the reason for a stop that state and path give, or NO_REASON."""
         settings, path = self.config.settings, location.path
@@ -416,6 +440,11 @@ class Supervisor:
         return self._state is not None and self._state.is_older(
             now_ns, self.config.settings.state_late
         )
+
+    def can_predict(self, now_ns: int) -> bool:
+        """Return whether the newest state can be predicted to this time."""
+        prediction = self.config.settings.state_prediction
+        return self._state is not None and self._state.ages(now_ns).age <= prediction
 
     def is_path_lost(self, now_ns: int) -> bool:
         """Return whether the path is too old to be followed without a stop."""
