@@ -126,7 +126,7 @@ def conditions_of(options: argparse.Namespace) -> Conditions:
     """
     check_files(options)
     with naming("delay"):
-        SteeringParameters(max_angle=1.0, delay=options.delay)
+        SteeringParameters(max_angle=1.0, lag=0.0, delay=options.delay)
     for name, bounds in OPTION_BOUNDS.items():
         if getattr(options, name) is not None:
             check_range(f"--{name}", getattr(options, name), bounds)

@@ -61,6 +61,11 @@ def cornering_angle(wheelbase: float, gradient: float, v_x: float, a_y: float) -
     return a_y * (wheelbase / v**2 + max(gradient, 0.0))
 
 
+ASSUMED_LAG = 0.08
+"""Lag of a steering whose lag is not configured. Nearly every servo is slower than zero; this value
+is good for cars with 0 to 0.2 s of delay and lag in total [s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SteeringParameters(Checked):
     """Steering actuator between the commanded and the real road-wheel angle."""
@@ -69,8 +74,27 @@ class SteeringParameters(Checked):
     max_rate: Annotated[
         float, number(0.0, math.inf, "rad/s", "Largest rate of that angle; .inf: none.")
     ] = math.inf
-    lag: Annotated[float, number(0.0, 5.0, "s", "Time constant of the first-order lag.")] = 0.0
+    lag: Annotated[
+        float,
+        number(-1.0, 5.0, "s", "Time constant of the first-order lag; -1: unknown, 0.08 s."),
+    ] = -1.0
     delay: Annotated[float, number(0.0, 2.0, "s", "Pure delay.")] = 0.0
+
+    def __post_init__(self) -> None:
+        """Check all fields; a negative lag is the mark of an unknown one."""
+        super().__post_init__()
+        if -1.0 < self.lag < 0.0:
+            raise ValueError(f"lag = {self.lag:g} must be 0 or more, or -1 if it is unknown")
+
+    @property
+    def is_lag_configured(self) -> bool:
+        """Whether the lag is stated."""
+        return self.lag >= 0.0
+
+    @property
+    def time_constant(self) -> float:
+        """Lag, or the assumed one where it is not stated [s]."""
+        return self.lag if self.is_lag_configured else ASSUMED_LAG
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +161,14 @@ class ControllerSettings(Checked):
         float,
         number(-1.0, 10.0, "m", "Noise of the path's points; 0: none; -1: estimated from them."),
     ] = -1.0
+    position_noise: Annotated[
+        float, number(0.0, 10.0, "m", "Noise of odometry's position, for the state filter.")
+    ] = 0.05
+    heading_noise: Annotated[float, number(0.0, 1.0, "rad", "Noise of its heading.")] = 0.0087
+    yaw_rate_noise: Annotated[float, number(0.0, 1.0, "rad/s", "Noise of its yaw rate.")] = 0.0087
+    lateral_velocity_noise: Annotated[
+        float, number(0.0, 10.0, "m/s", "Noise of its lateral velocity.")
+    ] = 0.1
     look_ahead_time: Annotated[float, number(0.0, 10.0, "s", "Pure pursuit: look-ahead time.")] = (
         0.6
     )

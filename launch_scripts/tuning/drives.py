@@ -124,7 +124,8 @@ ROADS: dict[str, Callable[[float], Scenario]] = {"lane change": lane_change, "jo
 def nominal_vehicle(plant: Plant, vehicle: Vehicle) -> Vehicle:
     """Return the vehicle that the controller assumes."""
     steering = vehicle.steering
-    delay, lag = steering.delay + plant.known_delay, steering.lag + plant.known_lag
+    lag = steering.time_constant + plant.known_lag if plant.known_lag else steering.lag
+    delay = steering.delay + plant.known_delay
     return vehicle._replace(steering=replace(steering, delay=delay, lag=lag))
 
 

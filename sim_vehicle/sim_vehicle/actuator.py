@@ -47,7 +47,7 @@ def next_angle(
         command: Demanded angle during the whole step [rad].
         share: `lag_share` of the step.
         step: Duration [s].
-        steering: `astuple` of SteeringParameters.
+        steering: Largest angle and rate, lag, delay.
     """
     delta_max, rate_max, _, _ = steering
     target = min(max(command, -delta_max), delta_max)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ampc_msgs_config.compiled import in_place, inlined
-from ampc_msgs_config.parameters import GRAVITY
+from ampc_msgs_config.parameters import GRAVITY, SteeringParameters
 from ampc_msgs_config.types import Array
 from sim_vehicle.parameters import TyreParameters, Vehicle
 
@@ -39,13 +39,18 @@ def vehicle_numbers(vehicle: Vehicle) -> VehicleNumbers:
     )
     return VehicleNumbers(
         chassis=astuple(chassis),
-        steering=astuple(vehicle.steering),
+        steering=actuator_numbers(vehicle.steering),
         body=astuple(vehicle.body),
         front_tyre=tyre_numbers(vehicle.tyre, chassis.front_cornering_stiffness, front_load),
         rear_tyre=tyre_numbers(vehicle.tyre, chassis.rear_cornering_stiffness, rear_load),
         air=astuple(vehicle.aerodynamics),
         powertrain=astuple(vehicle.powertrain),
     )
+
+
+def actuator_numbers(steering: SteeringParameters) -> tuple[float, ...]:
+    """Return max_angle, max_rate, time constant and delay; an unknown lag is the assumed one."""
+    return steering.max_angle, steering.max_rate, steering.time_constant, steering.delay
 
 
 def tyre_numbers(tyre: TyreParameters, stiffness: float, static_load: float) -> tuple[float, ...]:

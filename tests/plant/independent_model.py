@@ -92,7 +92,7 @@ def rates(z: Array, delta: float, wind: Array, target: float, mu: float, h: floa
 def road_wheel_angle(angle: float, command: float, h: float, car: Vehicle) -> float:
     """Return the angle [rad] after a step of h [s]: stop, first-order lag, then rate limit."""
     target = np.clip(command, -car.steering.max_angle, car.steering.max_angle)
-    lag, most = car.steering.lag, car.steering.max_rate * h
+    lag, most = car.steering.time_constant, car.steering.max_rate * h
     turn = (target - angle) * (1 - np.exp(-h / lag) if lag else 1.0)
     return angle + float(np.clip(turn, -most, most))
 

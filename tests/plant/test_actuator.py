@@ -17,7 +17,7 @@ STEP = 0.005
 
 def angles(command: float, steps: int, **steering: float) -> list[float]:
     """Return the road-wheel angle after each integration step under a constant command."""
-    actuator = SteeringParameters(**{"max_angle": 0.5} | steering)
+    actuator = SteeringParameters(**{"max_angle": 0.5, "lag": 0.0} | steering)
     car = Car(PAPER._replace(steering=actuator), speed=10.0, step=STEP)
     history = []
     for _ in range(steps):

@@ -133,4 +133,4 @@ def actuator_of(steering: SteeringParameters, T: float) -> Actuator:
     ticks, share = divmod(steering.delay / T, 1.0)
     if share > 1.0 - 1e-6:
         ticks, share = ticks + 1.0, 0.0
-    return Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.lag)
+    return Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.time_constant)

@@ -12,7 +12,7 @@ from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.state_filter import Noise, filter_gains
+from ampc_ros.preview.state_filter import filter_numbers, noise_of
 from ampc_ros.preview.tick import (
     ACCELERATION,
     BEFORE,
@@ -54,9 +54,10 @@ class PreviewMpc(Controller):
         """
         row = pack_internal_model(chassis, settings, steering, base_link_to_cg)
         self.model: InternalModel = unpack_internal_model(row)
-        vehicle, actuator, T = self.model.vehicle, self.model.actuator, settings.sample_time
-        noise = Noise(0.1, 0.00873, 0.00873, 0.05)
-        self.model_row = np.append(row, filter_gains(vehicle, actuator, T, noise))
+        vehicle, _, actuator, *_ = self.model
+        noise, least_share = noise_of(settings), 0.0 if steering.is_lag_configured else 1.0
+        numbers = filter_numbers(vehicle, actuator, settings.sample_time, noise, least_share)
+        self.model_row = np.append(row, numbers)
         self.period = settings.sample_time
         self.table = table.table
         ticks = self.model.actuator.ticks

@@ -1,35 +1,47 @@
 """Steady-state Kalman filter of state and disturbance, in path coordinates.
 
-The filter corrects the prediction of the internal model with the measured state. Its gains are
-computed once for a grid of speeds: noise and model decide, no tuning by hand.
+The filter corrects the prediction of the internal model by a share of its innovation, the
+difference between measurement and prediction. The gains are computed once for a grid of speeds from
+the noise of the settings. They are used as far as the innovations show noise: a clean measurement
+is used as it is, without delay. Where the lag of the steering is not configured they are always
+used, because the unfiltered loop has less margin of delay.
 """
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config.compiled import in_place
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES, BicycleParameters
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.model import SampledModel, sample_model
+from ampc_ros.preview.model import E_PSI, E_Y, SampledModel, sample_model
 
 SPEEDS = (1.5, 3.0, 5.0, 8.0, 12.0, 17.0, 23.0, 30.0, 40.0)
 """Speeds of the gains [m/s]."""
 MEASURED = 4
 """Measured states: v_y, e_psi, r, e_y."""
-GAINS_SIZE = len(SPEEDS) * 2 * MEASURED * MEASURED
-"""Numbers of all gains."""
+LEAST_SHARE, GAINS = MEASURED, MEASURED + 1
+"""Positions in `filter_numbers`, after the noise levels: least share, gains."""
 LEAST_NOISE = 1e-4
-"""Least standard deviation, with which the filter believes a measurement [unit of the state]."""
-MODEL_NOISE = (1.0, 0.02, 0.6, 0.1)
-"""Rate of change that the model does not explain, white, in a second [unit of the state / s^0.5]."""
-DISTURBANCE_NOISE = (1.5, 0.01, 0.8, 0.05)
-"""Random walk of the disturbance in a second [unit of the state / s^1.5]."""
-STEERING_NOISE = 0.0
-"""Error of the road-wheel angle, white from tick to tick [rad]."""
+"""Least standard deviation of a measurement [unit of the state]."""
+MODEL_NOISE = (0.1, 0.006, 0.06, 0.03)
+"""Rate of change that the model does not explain, white [unit of the state / s^0.5]."""
+DISTURBANCE_NOISE = (3.0, 0.002, 2.0, 0.01)
+"""Random walk of the rate that the model does not explain [unit of the state / s^1.5]. Heading and
+cross-track error are integrals of the other states: more here would read a late steering actuator
+as a disturbance."""
+DISTURBANCE_GAIN = (0.3, 0.05, 0.3, 0.05)
+"""Share of an innovation that enters the disturbance in a tick without filter, by state."""
+LEAST_LEVEL, FULL_LEVEL = 0.15, 0.75
+"""Squared innovation of the pose relative to the noise from which the filter acts, and acts fully.
+White noise of the configured level causes 1.2 to 2."""
+OUTLIER_LEVEL = 16.0
+"""Squared innovation that is no noise but a jump: the measured state is used."""
 
 
 class Noise(NamedTuple):
@@ -41,10 +53,39 @@ class Noise(NamedTuple):
     position: float
 
 
+def noise_of(settings: ControllerSettings) -> Noise:
+    """Return the noise of the settings."""
+    return Noise(
+        settings.lateral_velocity_noise,
+        settings.heading_noise,
+        settings.yaw_rate_noise,
+        settings.position_noise,
+    )
+
+
+NO_FILTER = Noise(math.inf, math.inf, math.inf, math.inf)
+"""Noise with which the level is always 0."""
+
+
 @lru_cache
-def filter_gains(vehicle: BicycleParameters, actuator: Actuator, T: float, noise: Noise) -> Array:
-    """Return the gains (GAINS_SIZE,) of state and disturbance for each of SPEEDS."""
-    return np.concatenate([gains_at(vehicle, actuator, T, noise, v).ravel() for v in SPEEDS])
+def filter_numbers(
+    vehicle: BicycleParameters, actuator: Actuator, T: float, noise: Noise, least_share: float
+) -> Array:
+    """Return noise levels (4,), least share, and gains (8, 4) at each of SPEEDS as a row.
+
+    Args:
+        vehicle: m, I_z, l_f, l_r, C_f, C_r.
+        actuator: Steering actuator of the internal model.
+        T: Step [s].
+        noise: Standard deviations; without noise of the pose there is no filter.
+        least_share: Share of the gains that is used without noise, 0 to 1.
+    """
+    if noise.heading == noise.position == 0.0:
+        noise, least_share = NO_FILTER, 0.0
+    if noise == NO_FILTER:
+        return np.array([*noise, 0.0, *np.zeros(len(SPEEDS) * 2 * MEASURED * MEASURED)])
+    gains = [gains_at(vehicle, actuator, T, noise, v).ravel() for v in SPEEDS]
+    return np.concatenate((np.maximum(noise, LEAST_NOISE), [least_share], *gains))
 
 
 def gains_at(
@@ -54,10 +95,10 @@ def gains_at(
     n = MEASURED
     sampled = SampledModel(np.zeros((STATES, STATES)), *np.zeros((3, STATES)))
     sample_model(vehicle, v_x, T, actuator, sampled, make_scratch(400))
-    A, B = np.eye(2 * n), sampled.B_old[:n] + sampled.B_new[:n]
+    A = np.eye(2 * n)
     A[:n, :n], A[:n, n:] = sampled.A[:n, :n], np.eye(n)
     Q = np.zeros((2 * n, 2 * n))
-    Q[:n, :n] = np.diag(np.square(MODEL_NOISE) * T) + STEERING_NOISE**2 * np.outer(B, B)
+    Q[:n, :n] = np.diag(np.square(MODEL_NOISE) * T)
     Q[n:, n:] = np.diag(np.square(DISTURBANCE_NOISE) * T * T * T)
     R = np.diag(np.square(np.maximum(noise, LEAST_NOISE)))
     P = prediction_covariance(A, Q, R)
@@ -87,32 +128,48 @@ def prediction_covariance(A: Array, Q: Array, R: Array) -> Array:
 
 
 @in_place
-def correct(gains: Array, v_x: float, x: Array, expected: Array, disturbance: Array) -> None:
+def filter_share(numbers: Array, noise_level: float) -> float:
+    """Return the share of the filter's gains, at most 1, at a level of noise."""
+    share = (noise_level - LEAST_LEVEL) / (FULL_LEVEL - LEAST_LEVEL)
+    return min(max(share, numbers[LEAST_SHARE]), 1.0)
+
+
+@in_place
+def correct(
+    numbers: Array, v_x: float, share: float, x: Array, expected: Array, disturbance: Array
+) -> float:
     """Replace a measured state by its estimate, and update the estimated disturbance.
 
     Args:
-        gains: `filter_gains`.
+        numbers: `filter_numbers`.
         v_x: Speed [m/s].
+        share: Share of the filter's gains; 0: the measured state is not changed.
         x: Measured state (>= 4,), changed in place.
-        expected: State that the model predicts without disturbance (>= 4,).
+        expected: State that the model predicts without disturbance (>= 4,); changed.
         disturbance: Estimated change of the state in a tick (>= 4,), changed in place.
+
+    Returns:
+        Squared innovation of the pose relative to the configured noise.
     """
-    k, size = 0, 2 * MEASURED * MEASURED
+    k, size, level = 0, 2 * MEASURED * MEASURED, 0.0
     while k < len(SPEEDS) - 2 and v_x >= SPEEDS[k + 1]:
         k += 1
-    share = min(max((v_x - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
-    slow, fast = gains[k * size :], gains[(k + 1) * size :]
+    place = min(max((v_x - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
+    slow, fast = numbers[GAINS + k * size :], numbers[GAINS + (k + 1) * size :]
     for i in range(MEASURED):
         expected[i] += disturbance[i]
-        x[i] -= expected[i]  # the innovation
-    for i in range(2 * MEASURED):
-        change = 0.0
-        for j in range(MEASURED):
-            place = i * MEASURED + j
-            change += (slow[place] + share * (fast[place] - slow[place])) * x[j]
-        if i < MEASURED:
-            expected[i] += change
-        else:
-            disturbance[i - MEASURED] += change
+        expected[i] = x[i] - expected[i]  # the innovation
+    for i in (E_PSI, E_Y):
+        level += 0.5 * (expected[i] / numbers[i]) ** 2
+    if share > 0.0 and level > OUTLIER_LEVEL:
+        return level
     for i in range(MEASURED):
-        x[i] = expected[i]
+        learnt, change = 0.0, 0.0
+        for j in range(MEASURED):
+            at, below = i * MEASURED + j, (i + MEASURED) * MEASURED + j
+            change += (slow[at] + place * (fast[at] - slow[at])) * expected[j]
+            learnt += (slow[below] + place * (fast[below] - slow[below])) * expected[j]
+        x[i] += share * (change - expected[i])
+        unfiltered = DISTURBANCE_GAIN[i] * expected[i]
+        disturbance[i] += unfiltered + share * (learnt - unfiltered)
+    return level

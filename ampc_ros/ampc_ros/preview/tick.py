@@ -33,7 +33,7 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
-from ampc_ros.preview.state_filter import correct
+from ampc_ros.preview.state_filter import correct, filter_share
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -44,14 +44,17 @@ MAX_DISTURBANCE = (3.0, 0.05, 1.5, 0.5, 0.0)
 ACCELERATION_GAIN = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration in a tick."""
 
+LEVEL_TIME, MAX_LEVEL = 1.0, 4.0
+"""Time constant of the level of noise [s], and the largest level of a single tick."""
+
 ACCELERATION_FADE = 1.0
 """Time constant with which the acceleration is predicted to fade [s]."""
 
-INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, BEFORE = 0, 1, 3, 4, 5, 6
+INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, NOISE_LEVEL, BEFORE = 0, 1, 3, 4, 5, 6, 7
 
-DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 7, 12, 16, 17
+DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 8, 13, 17, 18
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
-the last tick, estimated acceleration, whether a state is predicted, the command before the oldest
+the last tick, estimated acceleration, whether a state is predicted, level of noise, the command before the oldest
 one in the delay, disturbance (5,), predicted state (5,), whose last number is the road-wheel angle,
 and the commands in the delay, the newest last (n + 1,)."""
 
@@ -109,13 +112,13 @@ def locate(path: Path, car: VehicleState, memory: Array) -> PathPosition:
 
 @in_place
 def update_estimates(
-    memory: Array, gains: Array, v_x: float, x: Array, elapsed: float, T: float
+    memory: Array, numbers: Array, v_x: float, x: Array, elapsed: float, T: float
 ) -> None:
     """Filter the measured state, and update disturbance and acceleration.
 
     Args:
         memory: Changed in place.
-        gains: `filter_gains`.
+        numbers: `filter_numbers`.
         v_x: Speed [m/s].
         x: State relative to the path (5,), changed in place.
         elapsed: Time since the last step; nan if there was none [s].
@@ -130,7 +133,10 @@ def update_estimates(
         return
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
     if v_x >= LEARN_ABOVE:
-        correct(gains, v_x, x, expected, disturbance)
+        share = filter_share(numbers, memory[NOISE_LEVEL])
+        level = correct(numbers, v_x, share, x, expected, disturbance)
+        change = min(level, MAX_LEVEL) - memory[NOISE_LEVEL]
+        memory[NOISE_LEVEL] += min(T / LEVEL_TIME, 1.0) * change
     for i in range(STATES):
         bound = MAX_DISTURBANCE[i] * T
         disturbance[i] = min(max(disturbance[i], -bound), bound)

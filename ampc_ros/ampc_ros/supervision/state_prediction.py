@@ -110,7 +110,7 @@ class StatePredictor:
 
     def __init__(self, config: Configuration, steering: float) -> None:
         """Create the model of a configuration; `steering` is the angle in force [rad]."""
-        self._to_cg, self._lag = config.base_link_to_cg, config.steering.lag
+        self._to_cg, self._lag = config.base_link_to_cg, config.steering.time_constant
         self._delay_ns = round(config.steering.delay * NANOSECONDS)
         friction = config.settings.friction
         self._model = CarModel(astuple(config.chassis), friction, self._lag)
