@@ -98,7 +98,7 @@ def named(node: Any) -> Any:
 @cache
 def _tuple_class(fields: tuple[str, ...]) -> Any:
     """Return one class for equal fields, so that compiled code is compiled once."""
-    return namedtuple("Parameters", fields)  # noqa: PYI024
+    return namedtuple("Parameters", fields)
 
 
 class FastSimulation(IndependentSimulation):

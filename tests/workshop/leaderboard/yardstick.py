@@ -1,4 +1,4 @@
-"""Base class of the yardsticks: published controllers in the form of `ampc_ros/doc/my_controller.md`.
+"""Base class of the yardsticks: published controllers as classes of `doc/my_controller.md`.
 
 Each knows the chassis and the limits of the car, but nothing of its actuator, as the shipped
 controllers do by default.
@@ -36,7 +36,7 @@ class Seen(NamedTuple):
 
 
 class Yardstick:
-    """A steering controller with `period` and `step(state, path)`; the state is at the rear axle."""
+    """A steering controller with `period` and `step(state, path)`; states are at the rear axle."""
 
     period = 0.05
 
@@ -86,9 +86,3 @@ def curvatures_ahead(path: Path, s: float, step: float, count: int) -> Array:
     for i in range(count):
         values[i] = point_at(path, s + i * step).curvature
     return values
-
-
-@compiled
-def interpolate_gains(low: Array, high: Array, share: float) -> Array:
-    """Return gains between those of two speeds."""
-    return low + share * (high - low)
