@@ -124,6 +124,8 @@ class Result(NamedTuple):
     """RMS of this error [m]."""
     activity: float
     """RMS change of the commanded wheel angle within 0.1 s [deg]."""
+    centre: float
+    """Largest cross-track error of the centre of gravity [m]."""
 
     @property
     def stays(self) -> bool:
@@ -276,17 +278,23 @@ class Course(NamedTuple):
 
     error: Array
     """Cross-track error of the guided point (n,) [m]."""
+    centre: Array
+    """Cross-track error of the centre of gravity (n,) [m]."""
     steering: Array
     """Commanded angle (n,) [rad]."""
 
     def result(self, disturbance: Disturbance) -> Result:
         """Return the numbers of the drive."""
-        first = round(APPROACH * NANOSECONDS / STEP_NS) if disturbance.offset else 0
         left = not abs(self.error[-1]) <= LEFT
-        counted = self.error if left else self.error[first:]
+        first = round(APPROACH * NANOSECONDS / STEP_NS) if disturbance.offset and not left else 0
+        error, centre = np.abs(self.error[first:]), np.abs(self.centre[first:])
         change = np.degrees(self.steering[TENTH:] - self.steering[:-TENTH])
-        most = math.inf if left else float(np.abs(counted).max())
-        return Result(most, rms(counted), rms(change) if len(change) else math.inf)
+        return Result(
+            math.inf if left else float(error.max()),
+            rms(error),
+            rms(change) if len(change) else math.inf,
+            math.inf if left else float(centre.max()),
+        )
 
 
 def drive(row: Row, make: Maker, seed: int | None = None, *, mirrored: bool = False) -> Course:
@@ -302,24 +310,27 @@ def drive(row: Row, make: Maker, seed: int | None = None, *, mirrored: bool = Fa
     road = road_of(row.road, row.car, mirrored=mirrored)
     road = road._replace(start_offset=side * disturbance.offset)
     car, controller = plant(row, road), make(row, road)
-    planner, progress = SpeedPlanner(road), Progress(road.path)
+    planner = SpeedPlanner(road)
+    points = controller.guided_point, vehicle_of(row.car).chassis.cg_to_rear_axle
+    along = Progress(road.path), Progress(road.path)
     steps = round(road.duration * NANOSECONDS) // STEP_NS
     every = round(controller.period * NANOSECONDS / STEP_NS)
     odometry = Odometry(disturbance.late, seed, steps)
     bias = math.radians(disturbance.bias_deg) * side
-    error, steering, angle = np.empty(steps), np.empty(steps), 0.0
+    errors, steering, angle = np.empty((2, steps)), np.empty(steps), 0.0
     for step in range(steps):
         now_ns = NANOSECONDS + step * STEP_NS
         true = car.car.measure(now_ns)
-        error[step] = progress.errors(at_distance(true, controller.guided_point))[0]
+        for point, distance in enumerate(points):
+            errors[point, step] = along[point].errors(at_distance(true, distance))[0]
         arrived = odometry.measure(true)
         if arrived is not None and step % every == 0:
             angle = controller.command(arrived, now_ns)
         steering[step] = angle
-        if not abs(error[step]) <= LEFT:
-            return Course(error[: step + 1], steering[: step + 1])
+        if not abs(errors[0, step]) <= LEFT:
+            return Course(*errors[:, : step + 1], steering[: step + 1])
         car.advance(angle + bias, planner.target_speed(true), STEP_NS)
-    return Course(error, steering)
+    return Course(*errors, steering)
 
 
 def drive_row(row: Row, make: Maker) -> Result:

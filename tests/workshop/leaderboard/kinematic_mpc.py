@@ -27,7 +27,7 @@ HORIZON = 20
 """Number of predicted samples: 1 s."""
 GRID = 0.5
 """Distance of the speeds for which gains are computed; they are interpolated [m/s]."""
-ERROR, HEADING, RATE = 0.2, 0.1, 0.15
+ERROR, HEADING, RATE = 0.3, 0.03, 0.5
 """Deviations of equal cost (Bryson's rule): cross-track error [m], heading error [rad] and
 steering rate [rad/s]."""
 

@@ -22,7 +22,7 @@ PREVIEW = 30
 """Number of previewed samples: 1.5 s."""
 GRID = 1.0
 """Distance of the speeds for which gains are computed; they are interpolated [m/s]."""
-ERROR, HEADING, CORRECTION = 0.2, 0.1, 0.03
+ERROR, HEADING, CORRECTION = 0.2, 0.03, 0.03
 """Deviations of equal cost (Bryson's rule): cross-track error [m], heading error [rad], and
 correction of the steady-state steering [rad]."""
 Q = np.diag([0.0, 1 / HEADING**2, 0.0, 1 / ERROR**2])

@@ -14,7 +14,7 @@ GAIN = 2.5
 """k: gain of the cross-track error [1/s]."""
 SOFTENING = 1.0
 """k_soft: speed that is added to the car's [m/s]."""
-DAMPING = 0.05
+DAMPING = 0.2
 """k_d,yaw: gain of the yaw rate [s]."""
 
 
