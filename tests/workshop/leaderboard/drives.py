@@ -328,9 +328,9 @@ def drive(row: Row, make: Maker, seed: int | None = None, *, mirrored: bool = Fa
             angle = controller.command(arrived, now_ns)
         steering[step] = angle
         if not abs(errors[0, step]) <= LEFT:
-            return Course(*errors[:, : step + 1], steering[: step + 1])
+            return Course(errors[0, : step + 1], errors[1, : step + 1], steering[: step + 1])
         car.advance(angle + bias, planner.target_speed(true), STEP_NS)
-    return Course(*errors, steering)
+    return Course(errors[0], errors[1], steering)
 
 
 def drive_row(row: Row, make: Maker) -> Result:

@@ -61,7 +61,7 @@ def compiled_steps() -> Any:
     """Return the compiled integration of several steps, see `IndependentSimulation._step`."""
     right_hand_side = compiled_rate()
 
-    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(error_model="numpy")
     def rate(state: Any, angle: Any, target: Any, time: Any, gust: Any, p: Any) -> Any:
         x = state.copy()
         inputs = ((angle - x[2]) / SERVO_LAG, SPEED_GAIN * (target - x[3]))
@@ -74,7 +74,7 @@ def compiled_steps() -> Any:
         dx[5] += moment / p.I_z
         return dx
 
-    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(error_model="numpy")
     def steps(state: Any, angles: Any, target: Any, begin: Any, gust: Any, p: Any) -> Any:
         for i, angle in enumerate(angles):
             time = begin + i * STEP

@@ -62,7 +62,9 @@ def first_move(
     N, n = Q.shape
     free, forced = np.empty((N, n, n)), np.zeros((N, n, N))
     bent = np.zeros((N, n, N + 1))
-    power, input_row, curvature_row = np.eye(n), np.zeros((n, N)), np.zeros((n, N + 1))
+    power: Array = np.eye(n)
+    input_row: Array = np.zeros((n, N))
+    curvature_row: Array = np.zeros((n, N + 1))
     for i in range(N):
         power = A @ power
         input_row, curvature_row = A @ input_row, A @ curvature_row
@@ -76,7 +78,7 @@ def first_move(
     for weight, now, past in differences:
         H += weight * now.T @ now
         before += weight * now.T @ past
-    row = np.linalg.solve(H, np.eye(N)[:, 0])
+    row = np.asarray(np.linalg.solve(H, np.eye(N)[:, 0]), dtype=np.float64)
     return Move(-row @ weighted @ Phi, -row @ weighted @ Gamma, R * row, -row @ before)
 
 

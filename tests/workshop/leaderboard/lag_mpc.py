@@ -55,7 +55,7 @@ def sampled(wheelbase: float, v: float, step: float) -> Model:
     A_c = np.zeros((5, 5))  # with the held input and the held curvature
     A_c[0, 1], A_c[1, 2], A_c[1, 4] = v, v / wheelbase, -v
     A_c[2, 2], A_c[2, 3] = -1 / LAG, 1 / LAG
-    Phi = expm(step * A_c)
+    Phi = np.asarray(expm(step * A_c), dtype=np.float64)
     return Model(Phi[:3, :3], Phi[:3, 3], Phi[:3, 4])
 
 

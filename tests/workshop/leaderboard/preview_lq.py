@@ -54,7 +54,7 @@ def model(chassis: ChassisParameters, v: float) -> Model:
     A_c[0, 4], A_c[2, 4] = C_f / m, l_f * C_f / I_z
     A_c[1, 2], A_c[1, 5] = 1.0, -v
     A_c[3, 0], A_c[3, 1] = 1.0, v
-    Phi = expm(PERIOD * A_c)
+    Phi = np.asarray(expm(PERIOD * A_c), dtype=np.float64)
     v_y = v * (l_r - m * v**2 * l_f / (C_r * chassis.wheelbase))
     X = np.array([v_y, -v_y / v, v, 0.0])
     return Model(Phi[:4, :4], Phi[:4, 4], X, chassis.wheelbase + chassis.understeer_gradient * v**2)

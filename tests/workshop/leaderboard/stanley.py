@@ -32,8 +32,8 @@ class Stanley(Yardstick):
         """Return the angle [rad]."""
         v, chassis = seen.state.v_x, self.chassis
         turn = v * point_at(path, seen.s).curvature
-        # Slip angle of the front axle's own direction on a steady curve: that of the rear tyres
-        load = chassis.mass * chassis.cg_to_front_axle / chassis.wheelbase
-        slip = load / (2 * chassis.rear_cornering_stiffness) * v * turn
+        # Slip angle of the front tyres on a steady curve
+        load = chassis.mass * chassis.cg_to_rear_axle / chassis.wheelbase
+        slip = load * v * turn / (2 * chassis.front_cornering_stiffness)
         angle = -(seen.heading - slip) - math.atan2(GAIN * seen.error, SOFTENING + max(v, 0.0))
         return angle - DAMPING * (seen.state.yaw_rate - turn)
