@@ -1,6 +1,6 @@
 """Columns of the leaderboard, and the rule of winning (stated in `leaderboard`)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from ampc_msgs_config.scenarios.scenario import Scenario
@@ -81,13 +81,15 @@ def drive_cell(row: Row, name: str) -> Result:
     return drive_row(row, COLUMNS[name].make)
 
 
-def compile_all() -> None:
-    """Compile the independent plant and load all other compiled code."""
-    row = Row("sine", "independent", DISTURBANCES[0])
-    road = road_of(row.road, row.car)
-    plant(row, road).advance(0.0, 12.0, STEP_NS)
-    for name in COLUMNS:
-        drive_row(Row("lane_change", "ordinary", DISTURBANCES[0]), COLUMNS[name].make)
+def compile_for(rows: Sequence[Row], columns: Sequence[str]) -> None:
+    """Compile what these cells use: the independent plant, and the columns."""
+    for row in rows:
+        if row.car == "independent":
+            plant(row, road_of(row.road, row.car)).advance(0.0, 9.0, STEP_NS)
+            break
+    for name in columns:
+        row = Row("lane_change", "ordinary", DISTURBANCES[0])
+        COLUMNS[name].make(row, road_of(row.road, row.car))
 
 
 def beats(other: float, error: float) -> bool:

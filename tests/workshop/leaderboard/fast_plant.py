@@ -60,6 +60,7 @@ def compiled_rate() -> Any:
 def compiled_steps() -> Any:
     """Return the compiled integration of several steps, see `IndependentSimulation._step`."""
     right_hand_side = compiled_rate()
+    stages = np.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]])  # Runge-Kutta
 
     @numba.njit(error_model="numpy")
     def rate(state: Any, angle: Any, target: Any, time: Any, gust: Any, p: Any) -> Any:
@@ -78,11 +79,11 @@ def compiled_steps() -> Any:
     def steps(state: Any, angles: Any, target: Any, begin: Any, gust: Any, p: Any) -> Any:
         for i, angle in enumerate(angles):
             time = begin + i * STEP
-            k1 = rate(state, angle, target, time, gust, p)
-            k2 = rate(state + STEP / 2 * k1, angle, target, time, gust, p)
-            k3 = rate(state + STEP / 2 * k2, angle, target, time, gust, p)
-            k4 = rate(state + STEP * k3, angle, target, time, gust, p)
-            state = state + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            total, k = np.zeros(len(state)), np.zeros(len(state))
+            for share, weight in stages:
+                k = rate(state + share * STEP * k, angle, target, time, gust, p)
+                total = total + weight * k
+            state = state + STEP / 6 * total
         return state
 
     return steps

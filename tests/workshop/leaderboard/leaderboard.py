@@ -42,7 +42,7 @@ from rich.progress import (
 from rich.text import Text
 
 from launch_scripts.run.options import create_folder, naming
-from tests.workshop.leaderboard.columns import COLUMNS, compile_all, drive_cell
+from tests.workshop.leaderboard.columns import COLUMNS, compile_for, drive_cell
 from tests.workshop.leaderboard.drives import CARS, ROADS, Result, Row, all_rows
 from tests.workshop.leaderboard.leaderboard_page import Board, screen_tables, write_board
 
@@ -94,7 +94,7 @@ def drive_all(
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     console.print("compiling the car ...")
-    compile_all()  # before the processes start, which inherit it
+    compile_for(rows, columns)  # before the processes start, which inherit it
     cells: dict[Row, dict[str, Result]] = {row: {} for row in rows}
     with (
         Progress(*bars, *times, console=console) as progress,
