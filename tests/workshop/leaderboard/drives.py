@@ -8,7 +8,7 @@ in force. Yardsticks get the newest state that has arrived.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import cache
 from pathlib import Path as File
 from typing import NamedTuple, Protocol
@@ -23,7 +23,7 @@ from ampc_msgs_config.paths.path import Path, Progress
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, load_scenario
 from ampc_msgs_config.scenarios.wind import Wind
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
-from ampc_ros.configuration import Choices, configuration
+from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.measurement import Deviations, noisy
@@ -184,6 +184,24 @@ Maker = Callable[[Row, Scenario], Steering]
 
 
 @cache
+def deviations() -> Deviations:
+    """Return the measurement noise `x1`."""
+    return Deviations(*astuple(load(MeasurementNoise, find("noise", "x1"))))
+
+
+@cache
+def limits() -> ControllerSettings:
+    """Return the limits of the yardsticks, which are those of the shipped controllers."""
+    return load(ControllerSettings, find("controllers", "table3"))
+
+
+@cache
+def loaded(choices: Choices) -> Configuration:
+    """Return the configuration of these choices."""
+    return configuration(choices)
+
+
+@cache
 def vehicle_of(car: str) -> Vehicle:
     """Return the vehicle that all controllers assume, with its true actuator."""
     if car != "independent":
@@ -206,7 +224,7 @@ def shipped(settings: str, gains: str, *, configured: bool, row: Row, road: Scen
     known = row.car if row.car != "independent" else "ordinary"
     table = gains or ("preview" if row.car == "independent" else "")
     choices = Choices("preview", known, settings, table, guard="track", static_path=True)
-    config, vehicle = configuration(choices), vehicle_of(row.car)
+    config, vehicle = loaded(choices), vehicle_of(row.car)
     steering = SteeringParameters(max_angle=vehicle.steering.max_angle)
     if configured:
         actuator = vehicle.steering
@@ -219,8 +237,7 @@ def shipped(settings: str, gains: str, *, configured: bool, row: Row, road: Scen
 
 def yardstick(kind: type[Yardstick], row: Row, road: Scenario) -> Unsupervised:
     """Build a yardstick for a row."""
-    settings = load(ControllerSettings, find("controllers", "table3"))
-    return Unsupervised(kind(vehicle_of(row.car).chassis, settings), road.path)
+    return Unsupervised(kind(vehicle_of(row.car).chassis, limits()), road.path)
 
 
 @cache
@@ -259,18 +276,21 @@ class Odometry:
         self.age, self.states = round(late * NANOSECONDS / STEP_NS), list[VehicleState]()
         self.normal: Array | None = None
         if seed is not None:
-            self.normal = np.random.default_rng(seed).standard_normal((steps + 1, 6))
-        noise = load(MeasurementNoise, find("noise", "x1"))
-        self.noise = Deviations(
-            noise.position, noise.heading, noise.yaw_rate, noise.lateral_velocity, noise.speed
-        )
+            self.normal = np.random.default_rng(seed).standard_normal((steps, 6))
 
-    def measure(self, state: VehicleState) -> VehicleState | None:
-        """Take the true state of this sample; return the newest one that has arrived, if any."""
+    def measure(self, state: VehicleState) -> None:
+        """Take the true state of this sample."""
+        self.states.append(state)
+
+    def newest(self) -> VehicleState | None:
+        """Return the newest state that has arrived, if any."""
+        sample = len(self.states) - 1 - self.age
+        if sample < 0:
+            return None
+        state = self.states[sample]
         if self.normal is not None:
-            state = noisy(state, self.noise, self.normal[len(self.states)])
-        self.states.append(as_received(state))
-        return self.states[-1 - self.age] if len(self.states) > self.age else None
+            state = noisy(state, deviations(), self.normal[sample])
+        return as_received(state)
 
 
 class Course(NamedTuple):
@@ -323,8 +343,8 @@ def drive(row: Row, make: Maker, seed: int | None = None, *, mirrored: bool = Fa
         true = car.car.measure(now_ns)
         for point, distance in enumerate(points):
             errors[point, step] = along[point].errors(at_distance(true, distance))[0]
-        arrived = odometry.measure(true)
-        if arrived is not None and step % every == 0:
+        odometry.measure(true)
+        if step % every == 0 and (arrived := odometry.newest()) is not None:
             angle = controller.command(arrived, now_ns)
         steering[step] = angle
         if not abs(errors[0, step]) <= LEFT:
