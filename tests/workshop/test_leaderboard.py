@@ -37,6 +37,7 @@ from tests.workshop.leaderboard.first_move import (
     first_differences,
     first_move,
 )
+from tests.workshop.leaderboard.leaderboard_page import Board, read_yardsticks, write_json
 
 NOMINAL = DISTURBANCES[0]
 YARDSTICKS = [name for name, column in COLUMNS.items() if not column.is_ours]
@@ -254,6 +255,17 @@ def test_the_command_writes_page_table_and_picture(tmp_path: Path) -> None:
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
     assert "| lane_change, ordinary |" in text
     assert leaderboard.main(["--rows", "nothing"]) == leaderboard.WRONG
+
+
+def test_yardsticks_of_an_earlier_run_are_reused(tmp_path: Path) -> None:
+    row = Row("sc1", "paper", NOMINAL)
+    cells = {"preview": result(0.1), "stanley": result(math.inf), "preview_lq": result(0.2)}
+    write_json(Board("", list(cells), {row: cells}), tmp_path / "leaderboard.json")
+    other = Row("sc2", "paper", NOMINAL)
+    known = read_yardsticks(tmp_path / "leaderboard.json", [row, other])
+    assert known == {row: {key: cells[key] for key in ("preview_lq", "stanley")}, other: {}}
+    with pytest.raises(ValueError, match="not a leaderboard"):
+        read_yardsticks(tmp_path / "missing.json", [row])
 
 
 def test_yardsticks_have_the_constructor_of_custom_controllers() -> None:

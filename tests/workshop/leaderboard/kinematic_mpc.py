@@ -29,7 +29,7 @@ GRID = 0.5
 """Distance of the speeds for which gains are computed; they are interpolated [m/s]."""
 ERROR, HEADING, RATE = 0.3, 0.03, 0.5
 """Deviations of equal cost (Bryson's rule): cross-track error [m], heading error [rad] and
-steering rate [rad/s]."""
+steering rate [rad/s]. Of thirteen triples, chosen as in `preview_lq`."""
 
 
 @cache

@@ -1,7 +1,8 @@
 """Leaderboard: drive the shipped controllers and published yardsticks under equal conditions.
 
 `make leaderboard`, or `python -m tests.workshop.leaderboard.leaderboard`; `--rows noise`, `--cars
-ordinary`, `--roads sc1` and `--columns preview preview_lq` select a part. A row is a road, a car
+ordinary`, `--roads sc1` and `--columns preview preview_lq` select a part; `--reuse
+runs/leaderboard/leaderboard.json` takes the yardsticks of an earlier run. A row is a road, a car
 and a disturbance that no controller knows.
 
 Rule of winning, of 2026-11-28. It is not changed afterwards:
@@ -44,7 +45,13 @@ from rich.text import Text
 from launch_scripts.run.options import create_folder, naming
 from tests.workshop.leaderboard.columns import COLUMNS, compile_for, drive_cell
 from tests.workshop.leaderboard.drives import CARS, ROADS, Result, Row, all_rows
-from tests.workshop.leaderboard.leaderboard_page import Board, screen_tables, write_board
+from tests.workshop.leaderboard.leaderboard_page import (
+    Board,
+    read_yardsticks,
+    screen_tables,
+    write_json,
+    write_page,
+)
 
 WIDTH = 140
 """Minimum width of the printed tables [characters]."""
@@ -65,6 +72,8 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--columns", nargs="+", choices=COLUMNS, default=COLUMNS, help="columns; default: all")
     add("--output", type=File, default=File("runs/leaderboard"), help="folder; %(default)s")
     add("--workers", type=int, default=2, help="number of processes; default: %(default)s")
+    text = "take the yardsticks of an earlier run from its leaderboard.json, do not drive them"
+    add("--reuse", type=File, metavar="FILE", help=text)
     text = "also write the page and its picture here, such as ampc_ros/doc/leaderboard.md"
     add("--page", type=File, metavar="FILE", help=text)
     return parser.parse_args(arguments)
@@ -87,15 +96,22 @@ def rows_of(chosen: argparse.Namespace) -> list[Row]:
     return rows
 
 
+Cells = dict[Row, dict[str, Result]]
+"""Results by row and column."""
+
+
 def drive_all(
-    rows: Sequence[Row], columns: Sequence[str], workers: int, console: Console
-) -> dict[Row, dict[str, Result]]:
-    """Drive all cells in parallel, with a progress bar."""
+    rows: Sequence[Row], columns: Sequence[str], workers: int, console: Console, known: Cells
+) -> Cells:
+    """Drive all cells that are not known yet in parallel, with a progress bar."""
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     console.print("compiling the car ...")
     compile_for(rows, columns)  # before the processes start, which inherit it
-    cells: dict[Row, dict[str, Result]] = {row: {} for row in rows}
+    cells: Cells = {
+        row: {name: result for name, result in known.get(row, {}).items() if name in columns}
+        for row in rows
+    }
     with (
         Progress(*bars, *times, console=console) as progress,
         ProcessPoolExecutor(workers) as pool,
@@ -104,7 +120,7 @@ def drive_all(
             pool.submit(drive_cell, row, name): (row, name)
             for row in rows
             for name in columns
-            if COLUMNS[name].drives(row)
+            if COLUMNS[name].drives(row) and name not in cells[row]
         }
         for task in progress.track(as_completed(tasks), len(tasks), description="drives"):
             row, name = tasks[task]
@@ -121,18 +137,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = rows_of(chosen)
         with naming("output"):
             create_folder(chosen.output, exist_ok=True)
+        known = read_yardsticks(chosen.reuse, rows) if chosen.reuse else {}
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
     columns = [name for name in COLUMNS if name in chosen.columns]
-    cells = drive_all(rows, columns, chosen.workers, console)
+    cells = drive_all(rows, columns, chosen.workers, console, known)
     command = f"python -m tests.workshop.leaderboard.leaderboard {words}".strip()
     board = Board(command, columns, cells)
     for table in screen_tables(board):
         console.print(table)
-    write_board(board, chosen.output / "leaderboard.md")
-    if chosen.page:
-        write_board(board, chosen.page)
+    write_json(board, chosen.output / "leaderboard.json")
+    for file in (chosen.output / "leaderboard.md", chosen.page):
+        if file:
+            write_page(board, file)
     console.print(f"leaderboard.md, .json and .png: {chosen.output}", markup=False)
     lost = [board.lost(name) for name in columns if COLUMNS[name].decides]
     return LOST if any(lost) else 0

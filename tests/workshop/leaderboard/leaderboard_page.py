@@ -120,7 +120,9 @@ def page(board: Board, picture: str) -> str:
         "",
         f"`{board.command}`, AMPC for ROS 2 {__version__}: the shipped controllers and published "
         "yardsticks with the same cars, roads and disturbances, all unknown to them. `preview` and "
-        "`preview_50hz` have their default configuration; nothing of the actuator is configured.",
+        "`preview_50hz` have their default configuration; nothing of the actuator is configured. "
+        "The gains of the preview LQ, the kinematic MPC and Stanley were chosen once, on two of "
+        "the roads; those of the MPC with lag and delay are published.",
         "",
         "A controller of ours wins a row if no yardstick has a smaller largest error, by more than "
         "1 mm and 2 %, and if its steering activity is at most 1.5 times that of the best "
@@ -214,11 +216,39 @@ def content(board: Board) -> dict[str, Any]:
     }
 
 
-def write_board(board: Board, file: File) -> None:
-    """Write the page, and picture and JSON next to it."""
+def read_yardsticks(file: File, rows: Sequence[Row]) -> dict[Row, dict[str, Result]]:
+    """Return the cells of the yardsticks of an earlier run, as far as it has them.
+
+    Raises:
+        ValueError: The file is not the JSON file of a leaderboard.
+    """
+    try:
+        stored = json.loads(file.read_text(encoding="utf-8"))["rows"]
+        found = {(each["road"], each["car"], each["disturbance"]): each for each in stored}
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{file}: not a leaderboard: {error}") from error
+    names = [name for name, column in COLUMNS.items() if not column.is_ours]
+    cells: dict[Row, dict[str, Result]] = {}
+    for row in rows:
+        results = found.get((row.road, row.car, row.disturbance.name), {})
+        cells[row] = {name: _result(results[name]) for name in names if name in results}
+    return cells
+
+
+def _result(numbers: Mapping[str, float | None]) -> Result:
+    """Return a cell of JSON values; null is infinite."""
+    return Result(**{key: math.inf if v is None else v for key, v in numbers.items()})
+
+
+def write_page(board: Board, file: File) -> None:
+    """Write the page, and its picture next to it."""
     picture = file.with_suffix(".png")
     file.write_text(page(board, picture.name), encoding="utf-8")
-    text = json.dumps(to_json(content(board)), indent=1, allow_nan=False) + "\n"
-    file.with_suffix(".json").write_text(text, encoding="utf-8")
     save_png(heat_map(board), picture)
     reduce_colors(picture)
+
+
+def write_json(board: Board, file: File) -> None:
+    """Write all numbers as JSON."""
+    text = json.dumps(to_json(content(board)), indent=1, allow_nan=False) + "\n"
+    file.write_text(text, encoding="utf-8")

@@ -24,7 +24,8 @@ GRID = 1.0
 """Distance of the speeds for which gains are computed; they are interpolated [m/s]."""
 ERROR, HEADING, CORRECTION = 0.2, 0.03, 0.03
 """Deviations of equal cost (Bryson's rule): cross-track error [m], heading error [rad], and
-correction of the steady-state steering [rad]."""
+correction of the steady-state steering [rad]. Of twelve triples, this one has the smallest
+geometric mean of the largest errors on sc1_falcone and lane_change, with two cars."""
 Q = np.diag([0.0, 1 / HEADING**2, 0.0, 1 / ERROR**2])
 R = 1 / CORRECTION**2
 
