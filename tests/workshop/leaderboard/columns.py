@@ -38,6 +38,8 @@ class Column(NamedTuple):
     configured: bool = False
     """Whether the parameters of the actuator are configured."""
     yardstick: type[Yardstick] | None = None
+    source: str = ""
+    """Publication of a yardstick."""
 
     @property
     def is_ours(self) -> bool:
@@ -68,11 +70,31 @@ COLUMNS = {
     "preview_50hz_configured": Column(
         "preview, 50 Hz, actuator configured", "50hz", "preview_50hz", True
     ),
-    "preview_lq": Column("preview LQ, 20 Hz", yardstick=PreviewLq),
-    "kinematic_mpc": Column("kinematic MPC, 20 Hz", yardstick=KinematicMpc),
-    "lag_mpc": Column("MPC with lag and delay, 33 Hz", yardstick=LagMpc),
-    "stanley": Column("Stanley, 20 Hz", yardstick=Stanley),
-    "pure_pursuit": Column("regulated pure pursuit, 20 Hz", yardstick=RegulatedPurePursuit),
+    "preview_lq": Column(
+        "preview LQ, 20 Hz",
+        yardstick=PreviewLq,
+        source="Sharp and Valtetsiotis, Vehicle System Dynamics 35 (2001)",
+    ),
+    "kinematic_mpc": Column(
+        "kinematic MPC, 20 Hz",
+        yardstick=KinematicMpc,
+        source="Kong et al., IEEE Intelligent Vehicles Symposium 2015",
+    ),
+    "lag_mpc": Column(
+        "MPC with lag and delay, 33 Hz",
+        yardstick=LagMpc,
+        source="Autoware's `autoware_mpc_lateral_controller` with its default parameters",
+    ),
+    "stanley": Column(
+        "Stanley, 20 Hz",
+        yardstick=Stanley,
+        source="Hoffmann et al., American Control Conference 2007",
+    ),
+    "pure_pursuit": Column(
+        "regulated pure pursuit, 20 Hz",
+        yardstick=RegulatedPurePursuit,
+        source="Macenski et al., Autonomous Robots 47 (2023)",
+    ),
 }
 
 

@@ -23,6 +23,7 @@ MARGIN = 3.6
 """Width of the row names of the heat map [inch]."""
 FINEST = 0.001
 """Largest errors below this count as equal in the heat map [m]."""
+MARKS = "Bold: smallest largest error of the row. Italic: lost by a controller of ours."
 NUMBERS = "largest error [m] / RMS [m] / steering activity [deg per 0.1 s]"
 
 
@@ -137,13 +138,21 @@ def page(board: Board, picture: str) -> str:
         "configured controllers: the geometric mean over the roads. Framed: rows are lost. "
         f"Hatched: the car leaves the road, by more than {LEFT:g} m, on at least one road.",
         "",
+        "## Yardsticks",
+        "",
+        *(
+            f"* `{name}`: {COLUMNS[name].source}"
+            for name in board.columns
+            if name not in board.ours
+        ),
+        "",
         "## Lost rows",
         "",
         *(markdown_table(LOST_HEADS, lost_rows(board), "lrrl")),
     ]
     for name in dict.fromkeys(row.disturbance.name for row in board.cells):
         rows = [row for row in board.cells if row.disturbance.name == name]
-        lines += ["", f"## {name.capitalize()}", "", f"{NUMBERS.capitalize()}.", ""]
+        lines += ["", f"## {name.capitalize()}", "", f"{NUMBERS.capitalize()}. {MARKS}", ""]
         texts = [[f"{row.road}, {row.car}", *_texts(board, row)] for row in rows]
         lines += markdown_table(["row", *board.columns], texts)
     return "\n".join(lines) + "\n"
@@ -157,9 +166,9 @@ def _texts(board: Board, row: Row) -> Iterator[str]:
         if name not in results:
             yield ""
             continue
-        text, reason = cell_text(results[name]), board.reason(row, name)
+        text = cell_text(results[name])
         text = f"**{text}**" if results[name].max == best else text
-        yield f"*{text}*" if reason else text
+        yield f"*{text}*" if name in board.ours and board.reason(row, name) else text
 
 
 def heat_map(board: Board) -> Figure:
