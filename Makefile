@@ -5,8 +5,8 @@ VENV_PYTHON := .venv/bin/python
 JOBS ?= 2
 PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup dev demo test check uncompiled lint acceptance faults fuzz proofs mutation bench \
-	lock audit clean
+.PHONY: help setup dev demo test check uncompiled lint acceptance faults leaderboard fuzz proofs mutation \
+	bench lock audit clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -41,6 +41,9 @@ acceptance: dev  ## drive every case of the result table, into runs/acceptance
 
 faults: dev  ## inject every kind of fault on every road, into runs/faults
 	@$(VENV_PYTHON) -m tests.workshop.fault_matrix.inject
+
+leaderboard: dev  ## drive our controllers and published ones under equal conditions, into runs/leaderboard
+	@$(VENV_PYTHON) -m tests.workshop.leaderboard.leaderboard $(LEADERBOARD)
 
 fuzz: dev  ## send a million hostile inputs each to node core and guard (2 min)
 	@$(VENV_PYTHON) -m tests.workshop.fuzz.fuzz
