@@ -1,6 +1,7 @@
 """States that must not be believed, and how the car goes on without any."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -100,9 +101,10 @@ def test_a_heading_that_jumps_is_refused_where_the_position_returns() -> None:
 
 
 def supervised() -> Supervisor:
-    """Return a controller that may turn the wheel as fast as it likes, on a winding road."""
+    """Return a controller without prediction, with a fast wheel, on a winding road."""
     config = configuration(Choices(guard="track"))
-    supervisor = Supervisor(config)
+    settings = replace(config.settings, state_prediction=0.0)
+    supervisor = Supervisor(config._replace(settings=settings))
     supervisor.take_path(WAVES, START_NS, START_NS)
     return supervisor
 

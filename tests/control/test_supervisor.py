@@ -338,7 +338,8 @@ def test_same_points_again_only_renew_the_path() -> None:
 def test_the_controller_is_told_of_every_tick_without_a_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    supervisor = standing()
+    config = made_for()
+    supervisor = standing(config._replace(settings=replace(config.settings, state_prediction=0.0)))
     straight = [answer(supervisor, state(0.1 * k)).command for k in range(3)]
     assert {each.steering for each in straight} == {0.0}
     calls: list[tuple[float, bool]] = []

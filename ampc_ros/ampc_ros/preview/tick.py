@@ -33,7 +33,7 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
-from ampc_ros.preview.state_filter import correct, filter_share
+from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct, filter_share
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -137,6 +137,9 @@ def update_estimates(
         level = correct(numbers, v_x, share, x, expected, disturbance)
         change = min(level, MAX_LEVEL) - memory[NOISE_LEVEL]
         memory[NOISE_LEVEL] += min(T / LEVEL_TIME, 1.0) * change
+    else:
+        for i in range(MEASURED):
+            disturbance[i] -= DISTURBANCE_GAIN[i] * disturbance[i]
     for i in range(STATES):
         bound = MAX_DISTURBANCE[i] * T
         disturbance[i] = min(max(disturbance[i], -bound), bound)

@@ -85,8 +85,6 @@ class TickPolicy:
         if not self.is_answered or self.supervisor.is_state_late(now_ns):
             return Action.TICK
         self.missed += self._is_deferred
-        if self._is_deferred and self.supervisor.can_predict(now_ns):
-            return Action.TICK
         self._is_deferred = True
         return Action.WAIT
 
