@@ -39,6 +39,7 @@ from ampc_ros.supervision.monitors import (
     PathEndMonitor,
     StopRequest,
 )
+from ampc_ros.supervision.odometry import OdometryMonitor
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
 
@@ -60,7 +61,7 @@ class Supervisor:
         Raises:
             ValueError: The gains make the controller's problem numerically singular.
         """
-        self._filter = StateFilter()
+        self._filter, self.odometry = StateFilter(), OdometryMonitor()
         self._progress = PathProgress()
         self._number, self._resets = number - 1, resets
         self._stop = StopRequest()
@@ -186,6 +187,7 @@ class Supervisor:
     def forget(self) -> None:
         """Restart and wait for new inputs: the earlier ones belong to another drive."""
         self._filter.reset()
+        self.odometry.reset()
         self._progress.forget()
         self._state = self._path = self._points = None
         self._stop.no_path = False
@@ -213,15 +215,17 @@ class Supervisor:
         """
         if self._path is None:  # a car may wait at its start, with the speed that it will have
             self._filter.reset()
+            self.odometry.reset()
         verdict = self._filter.accept(state, now_ns)
         if not verdict.accepted:
             raise ValueError(verdict.reason)
         if verdict.reset:
+            self.odometry.reset()
             self._restart_at(state)
             if self._path:  # after a clock that went back, the path must still grow old
                 arrival_ns = min(self._path.arrival_ns, now_ns)
                 self._path = self._path._replace(arrival_ns=arrival_ns)
-        self._state = Received(state, state.stamp_ns, now_ns)
+        self._state = Received(self.odometry.correct(state), state.stamp_ns, now_ns)
         return verdict.reset
 
     def replay_state(self, state: Received[VehicleState], resets: int) -> None:
