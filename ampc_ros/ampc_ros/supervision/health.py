@@ -51,6 +51,11 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
     conditions = [Health()]
 
+    # The odometry has a lasting defect.
+    problems = supervisor.odometry.problems(config.chassis, config.base_link_to_cg)
+    if problems:
+        conditions.append(Health(WARN, "; ".join(problems)))
+
     # The path is too old.
     age = max(supervisor.path.ages(now_ns))
     if not config.static_path and age > config.settings.path_lost:
