@@ -163,6 +163,9 @@ def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[st
     values = dict(zip(RECORD_QUANTITIES, quantities, strict=False))
     clips = {f"clipped_{limit}": n for limit, n in supervisor.clips.items() if n}
     rejected = {f"rejected_{cause}": n for cause, n in supervisor.rejected.items() if n}
+    replaced = {
+        f"replaced_{cause}": n for cause, n in supervisor.odometry.yaw_rate.replaced.items() if n
+    }
     noise = path_noise(supervisor)
     rough = {"path_noise": noise} if noise > 0 else {}
-    return {**values, **clips, **rejected, **rough}
+    return {**values, **clips, **rejected, **replaced, **rough}

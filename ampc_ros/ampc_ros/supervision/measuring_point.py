@@ -27,7 +27,7 @@ TURNING_TIME = 5.0
 NOISE = 0.1
 """Standard deviation of the lateral velocity of a sample [m/s]."""
 MISALIGNMENT = math.radians(0.5)
-"""Standard deviation of a constant angle between heading and body, and of crabbing in wind [rad]."""
+"""Standard deviation of a constant angle between heading and body, or course in wind [rad]."""
 SLIP_SHARE, SLIP_DEVIATION = 0.8, 0.4
 """Rear slip angle as a share of that of the vehicle file: mean, and standard deviation. Two
 deviations reach from a kinematic car without slip to tyres of 60 % of their stiffness."""
@@ -67,7 +67,8 @@ class MeasuringPointEstimate:
     with the steady-state slip angle of the rear tyres, of which s = 1 is that of the vehicle file,
     and a constant angle e between measured heading and body. At one speed, d and s cannot be told
     apart: s and e have a normal prior, and the deviation of d includes what is unknown of them.
-    Only poses are used, because the twist may be wrong.
+    Only poses are used, because the twist may be wrong. Where the residual is larger than NOISE, so
+    is the deviation.
     """
 
     def __init__(self) -> None:
@@ -79,16 +80,17 @@ class MeasuringPointEstimate:
         self.last: VehicleState | None = None
         self.normal: Array = np.zeros((3, 3))  # of r, -v^2 r, v
         self.right: Array = np.zeros(3)
-        self.turning = 0.0
+        self.squares = self.samples = self.turning = 0.0
         """Time of the turning samples, of an age below MEMORY [s]."""
         self.omitted = self.omission = 0.0
         """Time of turning in which the twist has no lateral velocity [s], and the way to the inside
         of the turn that the position moved in this time [m]."""
+        self.was_fast = False
         self._begin_sample()
 
     def _begin_sample(self) -> None:
         self.time = self.turned = self.forward = self.left = 0.0
-        self.has_lateral = False
+        self.has_lateral = self.is_fast = False
 
     def observe(self, state: VehicleState) -> None:
         """Add an accepted state."""
@@ -105,6 +107,7 @@ class MeasuringPointEstimate:
         self.forward += dx * cos + dy * sin
         self.left += dy * cos - dx * sin
         self.has_lateral |= state.v_y != 0.0
+        self.is_fast |= abs(state.v_x * state.yaw_rate) > FASTEST_TURN
         if self.time >= SAMPLE_TIME:
             self._end_sample()
             self._begin_sample()
@@ -121,11 +124,14 @@ class MeasuringPointEstimate:
             self.omitted += time
             self.omission += self.left * math.copysign(1.0, r)
         is_straight = abs(r) < STRAIGHT and v_x >= SLOWEST
-        if abs(v_x * r) > FASTEST_TURN or not (is_turning or is_straight):
+        was_fast, self.was_fast = self.was_fast, self.is_fast
+        if self.is_fast or was_fast or not (is_turning or is_straight):
             return
         row: Array = np.array([r, -(v_x**2) * r, v_x])
         self.normal = forgetting * self.normal + np.outer(row, row)
         self.right = forgetting * self.right + v_y * row
+        self.squares = forgetting * self.squares + v_y**2
+        self.samples = forgetting * self.samples + 1.0
         self.turning = forgetting * self.turning + time * is_turning
 
     def estimate(self, chassis: ChassisParameters) -> MeasuringPoint | None:
@@ -138,7 +144,11 @@ class MeasuringPointEstimate:
         normal = self.normal / NOISE**2 + np.diag(weights)
         right = self.right / NOISE**2 + weights * (0.0, SLIP_SHARE * slip, 0.0)
         covariance = np.linalg.inv(normal)
-        return MeasuringPoint(float(covariance[0] @ right), math.sqrt(covariance[0, 0]))
+        solution = covariance @ right
+        left = self.squares + solution @ (self.normal @ solution - 2 * self.right)
+        residual = math.sqrt(max(float(left), 0.0) / self.samples)
+        unexplained = max(residual / NOISE, 1.0)
+        return MeasuringPoint(float(solution[0]), unexplained * math.sqrt(covariance[0, 0]))
 
     @property
     def omitted_velocity(self) -> float:

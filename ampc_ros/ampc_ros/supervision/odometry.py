@@ -20,8 +20,9 @@ class OdometryMonitor:
 
     def correct(self, state: VehicleState) -> VehicleState:
         """Add an accepted state; return the state for the controller."""
-        self.point.observe(state)
-        return self.yaw_rate.correct(state)
+        corrected = self.yaw_rate.correct(state)
+        self.point.observe(corrected)
+        return corrected
 
     def problems(self, chassis: ChassisParameters, base_link_to_cg: float) -> list[str]:
         """Return a sentence for each defect, with what to do about it."""

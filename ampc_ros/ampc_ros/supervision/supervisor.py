@@ -69,7 +69,7 @@ class Supervisor:
         self._state: Received[VehicleState] | None = None
         self._path: Received[Path] | None = None
         self._points: Array | None = None
-        self._measured = math.nan
+        self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         self._install(config, build_controller(config, source), 0.0)
 
@@ -225,16 +225,24 @@ class Supervisor:
             if self._path:  # after a clock that went back, the path must still grow old
                 arrival_ns = min(self._path.arrival_ns, now_ns)
                 self._path = self._path._replace(arrival_ns=arrival_ns)
-        self._state = Received(self.odometry.correct(state), state.stamp_ns, now_ns)
+        corrected = self.odometry.correct(state)
+        self._yaw_rate = math.nan if corrected is state else corrected.yaw_rate
+        self._state = Received(corrected, state.stamp_ns, now_ns)
         return verdict.reset
 
-    def replay_state(self, state: Received[VehicleState], resets: int) -> None:
+    def replay_state(
+        self, state: Received[VehicleState], resets: int, yaw_rate: float = math.nan
+    ) -> None:
         """Use a state that was accepted in a recorded run, without checks.
 
         Args:
             state: Accepted state with its arrival time.
             resets: Recorded number of restarts; where it has increased, the controller restarts.
+            yaw_rate: Recorded `corrected_yaw_rate`; nan: that of the state is used [rad/s].
         """
+        self._yaw_rate = yaw_rate
+        if not math.isnan(yaw_rate):
+            state = state._replace(value=state.value._replace(yaw_rate=yaw_rate))
         if resets > self._resets:
             self._restart_at(state.value)
             self._resets = resets
@@ -396,6 +404,7 @@ class Supervisor:
             self._resets,
             self._number,
             float(self.qp_fault),
+            self._yaw_rate,
         )
 
     def _monitor(self, state: VehicleState, location: Location) -> int:

@@ -30,9 +30,9 @@ LARGEST_CHANGE = 0.3
 """Largest change of the measured yaw rate that is added to the slope of the heading [rad/s]."""
 AGREEMENT_TIME = 5.0
 """Time of agreement after which the measured yaw rate is used again [s]."""
-IMPOSSIBLE = 15.0
-"""Lateral acceleration from which a yaw rate is replaced at once unless the heading turns at half of
-it at least [m/s^2]."""
+IMPOSSIBLE = 25.0
+"""Lateral acceleration of no car: its yaw rate is replaced at once unless the heading turns at half
+of it at least [m/s^2]."""
 SLOWEST = 0.5
 """Speed below which heading and yaw rate are not compared [m/s]."""
 
@@ -65,7 +65,7 @@ class YawRateCheck:
     def reset(self) -> None:
         """Forget all states; the counts continue."""
         self.last: VehicleState | None = None
-        self.turns: deque[Turn] = deque([], SLOPE_STATES)
+        self.turns: deque[Turn] = deque(maxlen=SLOPE_STATES)
         self.is_replaced = False
         self.expected = 0.0
         """Yaw rate of the heading, while it replaces the measured one [rad/s]."""
