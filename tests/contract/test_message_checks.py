@@ -61,7 +61,7 @@ def turned(length: float, component: str = "w") -> Odometry:
     return message
 
 
-@pytest.mark.parametrize("component", ["x", "y", "z", "w"])
+@pytest.mark.parametrize("component", ["z", "w"])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_quaternion_is_a_rotation_where_its_length_is_near_one(
     component: str, side: float

@@ -24,7 +24,7 @@ MEMORY = 60.0
 """Time after which a sample counts e times less [s]."""
 TURNING_TIME = 5.0
 """Least time of turning before the point is judged [s]."""
-NOISE = 0.1
+NOISE = 0.15
 """Standard deviation of the lateral velocity of a sample [m/s]."""
 MISALIGNMENT = math.radians(0.5)
 """Standard deviation of a constant angle between heading and body, or course in wind [rad]."""

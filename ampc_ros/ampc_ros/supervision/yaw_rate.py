@@ -16,10 +16,14 @@ ALLOWED = 0.02
 ALLOWED_SHARE = 0.05
 """... plus this share of the measured yaw rate."""
 MOST = 0.1
-"""Largest sum of the differences; white noise `x1` reaches about 0.07 in an hour [rad]."""
-HEADING_STEP = 0.05
-"""Largest difference in one state that counts where the yaw rate itself did not change: the heading
-of a localisation that is corrected jumps, and the yaw rate is right [rad]."""
+"""Largest sum of the differences; white noise `x1` reaches about 0.07 in an hour [rad]..."""
+MOST_DEVIATIONS = 10.0
+"""... or this number of standard deviations of the heading, if that is more."""
+NOISE_STATES = 100
+"""Number of states over which the standard deviation of the heading is averaged."""
+STEP_SHARE = 0.5
+"""Share of it that counts in one state at most, unless the yaw rate itself has changed: the heading
+of a localisation that is corrected jumps, and the yaw rate is right."""
 CONSTANT_STATES = 3
 """Number of states with exactly the same yaw rate from which it is called constant."""
 SLOPE_TIME = 0.3
@@ -30,7 +34,7 @@ LARGEST_CHANGE = 0.3
 """Largest change of the measured yaw rate that is added to the slope of the heading [rad/s]."""
 AGREEMENT_TIME = 5.0
 """Time of agreement after which the measured yaw rate is used again [s]."""
-IMPOSSIBLE = 25.0
+IMPOSSIBLE = 40.0
 """Lateral acceleration of no car: its yaw rate is replaced at once unless the heading turns at half
 of it at least [m/s^2]."""
 SLOWEST = 0.5
@@ -72,6 +76,9 @@ class YawRateCheck:
         self.above = self.below = 0.0
         self.constant = 1
         """Number of states with the same yaw rate, up to the newest."""
+        self.previous = self.variance = 0.0
+        """Difference of the last state, and mean square of the second differences [rad, rad^2]."""
+        self.states = 0
         self._begin_comparison()
 
     @property
@@ -117,17 +124,31 @@ class YawRateCheck:
         if state.v_x < SLOWEST:
             return
         mean = (last.yaw_rate + state.yaw_rate) / 2
-        difference, most = turned - mean * dt, max(HEADING_STEP, changed * dt)
-        counted = min(max(difference, -most), most)
+        difference = turned - mean * dt
+        most = self._most(difference)
+        step = max(STEP_SHARE * most, changed * dt)
+        counted = min(max(difference, -step), step)
         allowed = (ALLOWED + ALLOWED_SHARE * abs(mean)) * dt
         self.above = max(self.above + counted - allowed, 0.0)
         self.below = max(self.below - counted - allowed, 0.0)
-        if max(self.above, self.below) > MOST or self._is_impossible(state):
+        if max(self.above, self.below) > most or self._is_impossible(state):
             self.is_replaced = True
             self.above = self.below = 0.0
             self._begin_comparison()
         elif self.is_replaced:
-            self._look_for_agreement(difference, changed, dt)
+            self._look_for_agreement(difference, most, dt)
+            self.has_changed |= changed > 0
+
+    def _most(self, difference: float) -> float:
+        """Return the largest sum of differences with the noise of the heading [rad].
+
+        The second difference of white noise has 6 times its variance.
+        """
+        self.states += 1
+        share = max(1.0 / self.states, 1.0 / NOISE_STATES)
+        change, self.previous = difference - self.previous, difference
+        self.variance += share * (change**2 - self.variance)
+        return max(MOST, MOST_DEVIATIONS * math.sqrt(self.variance / 6))
 
     def _is_impossible(self, state: VehicleState) -> bool:
         """Return whether no car turns at this yaw rate, and the heading does not either."""
@@ -137,13 +158,12 @@ class YawRateCheck:
     def _begin_comparison(self) -> None:
         self.compared, self.difference, self.has_changed = 0.0, 0.0, False
 
-    def _look_for_agreement(self, difference: float, changed: float, dt: float) -> None:
+    def _look_for_agreement(self, difference: float, most: float, dt: float) -> None:
         """Use the measured yaw rate again after AGREEMENT_TIME, unless it is constant."""
         self.compared += dt
         self.difference += difference
-        self.has_changed |= changed > 0
         if self.compared >= AGREEMENT_TIME:
-            self.is_replaced = not self.has_changed or abs(self.difference) > MOST
+            self.is_replaced = not self.has_changed or abs(self.difference) > most
             self._begin_comparison()
 
     def _from_heading(self) -> float:
