@@ -52,16 +52,17 @@ class OdometryMonitor:
         side = "inside" if omitted > 0 else "outside"
         return (
             f"odom: lateral_velocity_missing: twist.twist.linear.y = 0, but the position moves at "
-            f"{abs(omitted):.2g} m/s to the {side} of turns: set it, or base_link_to_cg"
+            f"{abs(omitted):.2g} m/s to the {side} of turns: the publisher does not set it"
         )
 
     def _measuring_point(self, chassis: ChassisParameters, base_link_to_cg: float) -> str:
         point, l_r = self.point.estimate(chassis), chassis.cg_to_rear_axle
         if point is None or not point.contradicts(l_r - base_link_to_cg):
             return ""
+        d, most = point.ahead_of_axle, 2 * point.deviation
         return (
-            f"odom: measuring_point: the position is that of a point "
-            f"{point.ahead_of_axle:.1f} m ahead of the rear axle, "
-            f"but base_link_to_cg = {base_link_to_cg:.3g} m means "
-            f"{l_r - base_link_to_cg:.3g} m: set it to about {l_r - point.ahead_of_axle:.1f} m"
+            f"odom: measuring_point: in turns the position moves as a point {d:.1f} m "
+            f"(+- {most:.1f} m) ahead of the rear axle, but base_link_to_cg = {base_link_to_cg:.3g} "
+            f"m means {l_r - base_link_to_cg:.1f} m: set base_link_to_cg to {l_r - d:.1f} m "
+            f"(0 m: odometry at the centre of gravity, {l_r:.3g} m: at the rear axle)"
         )
