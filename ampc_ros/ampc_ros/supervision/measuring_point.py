@@ -16,8 +16,9 @@ TURNING = 0.08
 """Yaw rate from which a sample counts as turning [rad/s]."""
 STRAIGHT = 0.03
 """Yaw rate below which a sample counts as straight on [rad/s]."""
-FASTEST_TURN = 3.0
-"""Largest lateral acceleration of a sample: beyond it tyres are not linear [m/s^2]."""
+FASTEST_TURN, FASTEST_PEAK = 3.0, 3.75
+"""Largest lateral acceleration of a sample, and of one state: beyond it tyres are not linear
+[m/s^2]."""
 SLOWEST = 2.0
 """Smallest speed of a sample [m/s]."""
 MEMORY = 60.0
@@ -107,7 +108,7 @@ class MeasuringPointEstimate:
         self.forward += dx * cos + dy * sin
         self.left += dy * cos - dx * sin
         self.has_lateral |= state.v_y != 0.0
-        self.is_fast |= abs(state.v_x * state.yaw_rate) > FASTEST_TURN
+        self.is_fast |= abs(state.v_x * state.yaw_rate) > FASTEST_PEAK
         if self.time >= SAMPLE_TIME:
             self._end_sample()
             self._begin_sample()
@@ -124,8 +125,9 @@ class MeasuringPointEstimate:
             self.omitted += time
             self.omission += self.left * math.copysign(1.0, r)
         is_straight = abs(r) < STRAIGHT and v_x >= SLOWEST
-        was_fast, self.was_fast = self.was_fast, self.is_fast
-        if self.is_fast or was_fast or not (is_turning or is_straight):
+        is_fast = self.is_fast or abs(v_x * r) > FASTEST_TURN
+        was_fast, self.was_fast = self.was_fast, is_fast
+        if is_fast or was_fast or not (is_turning or is_straight):
             return
         row: Array = np.array([r, -(v_x**2) * r, v_x])
         self.normal = forgetting * self.normal + np.outer(row, row)

@@ -62,7 +62,8 @@ class OdometryMonitor:
         d, most = point.ahead_of_axle, 2 * point.deviation
         return (
             f"odom: measuring_point: in turns the position moves as a point {d:.1f} m "
-            f"(+- {most:.1f} m) ahead of the rear axle, but base_link_to_cg = {base_link_to_cg:.3g} "
-            f"m means {l_r - base_link_to_cg:.1f} m: set base_link_to_cg to {l_r - d:.1f} m "
+            f"(+- {most:.1f} m) ahead of the rear axle, but base_link_to_cg = "
+            f"{base_link_to_cg:.3g} m means {l_r - base_link_to_cg:.1f} m: "
+            f"set base_link_to_cg to {l_r - d:.1f} m "
             f"(0 m: odometry at the centre of gravity, {l_r:.3g} m: at the rear axle)"
         )
