@@ -1,6 +1,7 @@
 """Cars driven with defects of odometry that last, and without any."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from tests.workshop.acceptance.trials import Trial
 CARS = ("paper", "ordinary")
 BEGIN = 5.0
 """Begin of the defects [s]."""
-YAW_RATES = {
+YAW_RATES: dict[str, Callable[[float, float], float]] = {
     "9 rad/s": lambda r, t: 9.0,
     "1 rad/s": lambda r, t: 1.0,
     "0 rad/s": lambda r, t: 0.0,
@@ -108,9 +109,7 @@ def test_correct_odometry_is_never_criticised(
 
 
 @pytest.mark.parametrize("seed", [None, 3])
-@pytest.mark.parametrize(
-    ("road", "speed"), [("circle", 5.0), ("circle", 9.0), ("sine", 15.0)]
-)
+@pytest.mark.parametrize(("road", "speed"), [("circle", 5.0), ("circle", 9.0), ("sine", 15.0)])
 @pytest.mark.parametrize("car", CARS)
 def test_odometry_of_the_front_bumper_is_named_and_accepted_with_the_parameter(
     car: str, road: str, speed: float, seed: int | None

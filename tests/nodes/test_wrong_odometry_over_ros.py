@@ -44,7 +44,7 @@ class Defective(Foreign):
         while text not in (sentence := self.report()):
             assert time.monotonic() < limit, sentence
             pause = time.monotonic() + 0.5
-            self.spin_until(lambda pause=pause: time.monotonic() > pause)  # type: ignore[misc]
+            self.spin_until(lambda pause=pause: time.monotonic() > pause)
         self.destroy_timer(timer)
         return sentence
 
