@@ -192,3 +192,17 @@ def test_after_a_gap_the_comparison_begins_again() -> None:
     assert check.cause == ""
     assert check.measured == 0.0
     assert check.replaced[STUCK] > 0
+
+
+def test_a_replacement_is_bounded_however_close_the_states_are() -> None:
+    check = YawRateCheck()
+    first = next(drive())
+    for i in range(200):
+        yaw = 0.15 * (i % 2)
+        state = first._replace(stamp_ns=first.stamp_ns + i, yaw=yaw, yaw_rate=9.0)
+        assert check.correct(state).yaw_rate in (0.0, 9.0)
+    for i in range(1, 50):
+        stamp_ns = first.stamp_ns + 200 + i * NANOSECONDS // 20
+        state = first._replace(stamp_ns=stamp_ns, yaw=wrap_angle(1.0 * i), yaw_rate=-9.0)
+        assert abs(check.correct(state).yaw_rate) <= 10.0
+    assert check.expected == 10.0

@@ -127,6 +127,7 @@ class Condition(NamedTuple):
     path_is_old: bool = False
     stop_requested: bool = False
     path_ends: bool = False
+    yaw_rate_is_replaced: bool = False
 
 
 def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
@@ -142,6 +143,7 @@ def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
         not config.static_path and age > config.settings.path_late,
         supervisor.stop_requested,
         supervisor.path_end.is_near,
+        supervisor.odometry.yaw_rate.is_replaced,
     )
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from ampc_msgs_config.frames import wrap_angle
 from ampc_msgs_config.types import VehicleState
-from ampc_ros.supervision.plausibility import CHECK_WINDOW, time_between
+from ampc_ros.supervision.plausibility import CHECK_WINDOW, MAX_YAW_RATE, time_between
 
 MISSING, STUCK, CONTRADICTS = "yaw_rate_missing", "yaw_rate_stuck", "yaw_rate_contradicts_heading"
 YAW_RATE_CAUSES = (MISSING, STUCK, CONTRADICTS)
@@ -28,6 +28,8 @@ CONSTANT_STATES = 3
 """Number of states with exactly the same yaw rate from which it is called constant."""
 SLOPE_TIME = 0.3
 """Time over which the slope of the heading is fitted [s]."""
+SHORTEST_SLOPE = 0.05
+"""Shortest time with a slope; before, the last one is used [s]."""
 SLOPE_STATES = 1000
 """Largest number of states in that time."""
 LARGEST_CHANGE = 0.3
@@ -79,6 +81,7 @@ class YawRateCheck:
         self.previous = self.variance = 0.0
         """Difference of the last state, and mean square of the second differences [rad, rad^2]."""
         self.states = 0
+        """Number of compared states."""
         self._begin_comparison()
 
     @property
@@ -108,8 +111,8 @@ class YawRateCheck:
         if not self.is_replaced:
             return state
         self.replaced[self.cause] += 1
-        if len(self.turns) > 1:
-            self.expected = self._from_heading()
+        if self.turns[-1].time - self.turns[0].time >= SHORTEST_SLOPE:
+            self.expected = min(max(self._from_heading(), -MAX_YAW_RATE), MAX_YAW_RATE)
         return state._replace(yaw_rate=self.expected)
 
     def _compare(self, last: VehicleState, state: VehicleState, dt: float) -> None:
@@ -179,4 +182,5 @@ class YawRateCheck:
         time = sum(turn.time for turn in self.turns) / n
         heading = sum(turn.heading for turn in self.turns) / n
         area = sum((turn.time - time) ** 2 for turn in self.turns)
-        return sum((turn.time - time) * (turn.heading - heading) for turn in self.turns) / area
+        product = sum((turn.time - time) * (turn.heading - heading) for turn in self.turns)
+        return product / area if area else 0.0
