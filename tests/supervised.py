@@ -9,13 +9,15 @@ import numpy as np
 from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
-from ampc_msgs_config.types import NANOSECONDS, TickRecord
+from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
 from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from launch_scripts.run.simulated import SimulatedDrive
 from tests.workshop.acceptance.trials import Trial, assumed_vehicle, plant, scenario_of, with_errors
 
+Distortion = Callable[[VehicleState, float], VehicleState]
+"""A state as odometry reports it at a time [s]."""
 Fault = Callable[[float], bool]
 """Whether a fault is active at a time [s]."""
 
@@ -23,6 +25,11 @@ Fault = Callable[[float], bool]
 def never(_: float) -> bool:
     """No fault."""
     return False
+
+
+def undistorted(state: VehicleState, _: float) -> VehicleState:
+    """Return the state as it was measured."""
+    return state
 
 
 def between(begin: float, end: float) -> Fault:
@@ -56,6 +63,7 @@ def supervised(
     blind: Fault = never,
     unsolved: Fault = never,
     supervisor: Supervisor | None = None,
+    distort: Distortion = undistorted,
 ) -> Run:
     """Drive a trial by the tick policy of the node.
 
@@ -65,6 +73,7 @@ def supervised(
         blind: When no state arrives.
         unsolved: When every solution fails.
         supervisor: Supervisor to use; None: a new one.
+        distort: What odometry makes of a measured state.
     """
     steers = supervisor or Supervisor(config)
     policy = TickPolicy(steers)
@@ -79,7 +88,7 @@ def supervised(
         state = as_received(simulation.car.measure(now_ns))
         if not blind(t):
             with suppress(ValueError):  # rejected after a long gap, until others confirm it
-                policy.take_state(state, now_ns)
+                policy.take_state(distort(state, t), now_ns)
         steers.inject_qp_fault(unsolved(t))
         if policy.on_timer(now_ns, period_ns) is Action.TICK and (record := policy.tick(now_ns)):
             records.append(record)

@@ -11,7 +11,11 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from ampc_msgs_config.frames import quaternion_from_yaw, yaw_from_quaternion
+from ampc_msgs_config.frames import (
+    quaternion_from_yaw,
+    tilt_from_quaternion,
+    yaw_from_quaternion,
+)
 from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.topics import BASE_LINK, MAP, STEERING_JOINT, TICK_QUANTITIES
@@ -33,6 +37,8 @@ ODOM_FIELDS = (
     "twist.twist.angular.z",
 )
 """Message fields of the numbers of a VehicleState after its stamp."""
+MAX_TILT = math.radians(30.0)
+"""Greatest accepted roll and pitch [rad]."""
 MAX_STEERING = math.pi / 2
 """Greatest accepted road-wheel angle [rad]."""
 MAX_TARGET_SPEED = 100.0
@@ -86,8 +92,8 @@ def vehicle_state(message: Odometry) -> VehicleState:
     """Unpack a state, in any fixed frame.
 
     Raises:
-        ValueError: No frame, a number that is not finite, or a quaternion far from unit length;
-            with the field's name, its value and the bound.
+        ValueError: No frame, a number that is not finite, a quaternion far from unit length, or a
+            car that lies on its side; with the field's name, its value and the bound.
     """
     require_frame("odom", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
@@ -96,6 +102,14 @@ def vehicle_state(message: Odometry) -> VehicleState:
         numbers = f"({q.x:g}, {q.y:g}, {q.z:g}, {q.w:g})"
         length = f"must have a length in [{low:g}, {high:g}]"
         raise ValueError(f"odom: pose.pose.orientation = {numbers} {length}")
+    tilt = tilt_from_quaternion(q.x, q.y, q.z, q.w)
+    for name, angle in zip(("roll", "pitch"), tilt, strict=True):
+        if abs(angle) > MAX_TILT:
+            degrees, most = math.degrees(angle), math.degrees(MAX_TILT)
+            raise ValueError(
+                f"odom: {name} of pose.pose.orientation = {degrees:.3g} deg must lie in "
+                f"[{-most:g}, {most:g}] deg: x points forward, y to the left, z up"
+            )
     state = VehicleState(
         stamp_ns=nanoseconds(message.header.stamp),
         x=position.x,

@@ -202,6 +202,8 @@ class TickRecord(NamedTuple):
     """Number of the configuration in use."""
     qp_fault: float
     """1 while the solver is made to fail by fault injection."""
+    corrected_yaw_rate: float = math.nan
+    """Yaw rate used instead of one that contradicts the heading; nan: the measured one [rad/s]."""
 
     @property
     def quantities(self) -> tuple[float, ...]:

@@ -57,7 +57,8 @@ def replay_ticks(
         # inputs, as they were accepted
         values = tick.values
         state = Received(tick.state, tick.state.stamp_ns, tick.ago_ns("state_silence"))
-        supervisor.replay_state(state, int(values.get("resets", 0)))
+        yaw_rate = values.get("corrected_yaw_rate", math.nan)
+        supervisor.replay_state(state, int(values.get("resets", 0)), yaw_rate)
         supervisor.take_path(tick.path.points, tick.path.stamp_ns, tick.ago_ns("path_silence"))
         if not math.isnan(values.get("measured_steering", math.nan)):
             supervisor.take_steering(values["measured_steering"])

@@ -108,6 +108,20 @@ def test_a_stamp_more_than_100_ms_in_the_future_is_refused() -> None:
     assert reason == "odom: stamp is 0.1 s in the future, must be at most 0.1 s"
 
 
+def test_a_stamp_of_zero_is_named_unless_it_is_the_time_of_a_simulation() -> None:
+    unset = state()._replace(stamp_ns=0)
+    for now_ns in (0, NANOSECONDS):
+        assert StateFilter().accept(unset, now_ns) == ACCEPTED
+    for filtered in (StateFilter(), running()):
+        verdict = filtered.accept(unset, START_NS)
+        assert verdict[:3] == (False, False, "zero_stamp")
+        assert verdict.reason == (
+            "odom: header.stamp = 0: the publisher does not set it; must be the time of the "
+            "measurement"
+        )
+        assert filtered.rejected["zero_stamp"] == 1
+
+
 def test_without_a_clock_no_stamp_is_in_the_future() -> None:
     filtered = StateFilter()
     assert filtered.accept(state(), 0) == ACCEPTED
@@ -554,6 +568,7 @@ def test_every_cause_is_reached() -> None:
     filtered = running(3.0)
     arrive(filtered, state(3.1, x=math.nan))
     arrive(filtered, state(3.1, v_x=300.0))
+    filtered.accept(state()._replace(stamp_ns=0), START_NS)
     arrive(filtered, state(3.1), -NANOSECONDS)
     arrive(filtered, state(3.0))
     arrive(filtered, state(2.9), TICK_NS)

@@ -236,8 +236,6 @@ class ControllerNode(ConfiguredNode):
         """Use the newest state; an invalid one is rejected and the old one kept."""
         try:
             state = ros.vehicle_state(message)
-            if state.stamp_ns == 0 and not self.lock_step and self.now_ns > NANOSECONDS:
-                raise ValueError("odom: header.stamp = 0 must be the time of the measurement")
             self.check_frames(message)
             restarted = self.policy.take_state(state, self.now_ns)
         except ValueError as error:

@@ -51,6 +51,11 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
         return Health(STALE, f"odom is {silence:.1f} s old: a stop is requested")
     conditions = [Health()]
 
+    # The odometry has a lasting defect.
+    problems = supervisor.odometry.problems(config.chassis, config.base_link_to_cg)
+    if problems:
+        conditions.append(Health(WARN, "; ".join(problems)))
+
     # The path is too old.
     age = max(supervisor.path.ages(now_ns))
     if not config.static_path and age > config.settings.path_lost:
@@ -122,6 +127,7 @@ class Condition(NamedTuple):
     path_is_old: bool = False
     stop_requested: bool = False
     path_ends: bool = False
+    yaw_rate_is_replaced: bool = False
 
 
 def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
@@ -137,6 +143,7 @@ def condition(supervisor: Supervisor, record: TickRecord) -> Condition:
         not config.static_path and age > config.settings.path_late,
         supervisor.stop_requested,
         supervisor.path_end.is_near,
+        supervisor.odometry.yaw_rate.is_replaced,
     )
 
 
@@ -158,6 +165,9 @@ def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[st
     values = dict(zip(RECORD_QUANTITIES, quantities, strict=False))
     clips = {f"clipped_{limit}": n for limit, n in supervisor.clips.items() if n}
     rejected = {f"rejected_{cause}": n for cause, n in supervisor.rejected.items() if n}
+    replaced = {
+        f"replaced_{cause}": n for cause, n in supervisor.odometry.yaw_rate.replaced.items() if n
+    }
     noise = path_noise(supervisor)
     rough = {"path_noise": noise} if noise > 0 else {}
-    return {**values, **clips, **rejected, **rough}
+    return {**values, **clips, **rejected, **replaced, **rough}

@@ -34,6 +34,7 @@ MAX_YAW_RATE = 10.0
 CAUSES = (
     "not_finite",
     "implausible",
+    "zero_stamp",
     "in_the_future",
     "duplicate",
     "out_of_order",
@@ -182,6 +183,9 @@ def unusable(state: VehicleState, now_ns: int) -> Rejection | None:
         if abs(value) > most:
             bounds = f"[{-most:g}, {most:g}] {unit}"
             return Rejection("implausible", f"odom: {name} = {value:g} must lie in {bounds}")
+    if state.stamp_ns == 0 and now_ns > NANOSECONDS:  # earlier, zero is the time of a simulation
+        reason = "odom: header.stamp = 0: the publisher does not set it; must be the time of the"
+        return Rejection("zero_stamp", f"{reason} measurement")
     ahead = stamp_difference(now_ns, state.stamp_ns)
     if now_ns > 0 and ahead > FUTURE:
         reason = f"odom: stamp is {ahead:.3g} s in the future, must be at most {FUTURE:g} s"

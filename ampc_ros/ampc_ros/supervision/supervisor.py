@@ -41,6 +41,7 @@ from ampc_ros.supervision.monitors import (
     PathEndMonitor,
     StopRequest,
 )
+from ampc_ros.supervision.odometry import OdometryMonitor
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.state_prediction import StatePredictor
@@ -63,7 +64,7 @@ class Supervisor:
         Raises:
             ValueError: The gains make the controller's problem numerically singular.
         """
-        self._filter = StateFilter()
+        self._filter, self.odometry = StateFilter(), OdometryMonitor()
         self._progress = PathProgress()
         self._number, self._resets = number - 1, resets
         self._stop = StopRequest()
@@ -71,7 +72,7 @@ class Supervisor:
         self._state: Received[VehicleState] | None = None
         self._path: Received[Path] | None = None
         self._points: Array | None = None
-        self._measured = math.nan
+        self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         self._answered_ns = -1
         self._predictor = StatePredictor(config, 0.0)
@@ -194,6 +195,7 @@ class Supervisor:
     def forget(self) -> None:
         """Restart and wait for new inputs: the earlier ones belong to another drive."""
         self._filter.reset()
+        self.odometry.reset()
         self._progress.forget()
         self._state = self._path = self._points = None
         self._stop.no_path = False
@@ -221,24 +223,34 @@ class Supervisor:
         """
         if self._path is None:  # a car may wait at its start, with the speed that it will have
             self._filter.reset()
+            self.odometry.reset()
         verdict = self._filter.accept(state, now_ns)
         if not verdict.accepted:
             raise ValueError(verdict.reason)
         if verdict.reset:
+            self.odometry.reset()
             self._restart_at(state)
             if self._path:  # after a clock that went back, the path must still grow old
                 arrival_ns = min(self._path.arrival_ns, now_ns)
                 self._path = self._path._replace(arrival_ns=arrival_ns)
-        self._state = Received(state, state.stamp_ns, now_ns)
+        corrected = self.odometry.correct(state)
+        self._yaw_rate = math.nan if corrected is state else corrected.yaw_rate
+        self._state = Received(corrected, state.stamp_ns, now_ns)
         return verdict.reset
 
-    def replay_state(self, state: Received[VehicleState], resets: int) -> None:
+    def replay_state(
+        self, state: Received[VehicleState], resets: int, yaw_rate: float = math.nan
+    ) -> None:
         """Use a state that was accepted in a recorded run, without checks.
 
         Args:
             state: Accepted state with its arrival time.
             resets: Recorded number of restarts; where it has increased, the controller restarts.
+            yaw_rate: Recorded `corrected_yaw_rate`; nan: that of the state is used [rad/s].
         """
+        self._yaw_rate = yaw_rate
+        if not math.isnan(yaw_rate):
+            state = state._replace(value=state.value._replace(yaw_rate=yaw_rate))
         if resets > self._resets:
             self._restart_at(state.value)
             self._resets = resets
@@ -408,6 +420,7 @@ class Supervisor:
             self._resets,
             self._number,
             float(self.qp_fault),
+            self._yaw_rate,
         )
 
     def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
