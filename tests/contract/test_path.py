@@ -242,6 +242,12 @@ def test_car_is_first_caught_by_a_part_of_the_path_that_leads_its_way() -> None:
     assert Progress(path).advance(50.0, 2.0) == pytest.approx(50.0, abs=0.01)  # heading unknown
 
 
+def test_of_equally_near_points_the_first_one_counts() -> None:
+    path = make_path(arc(40.0, math.tau, 121)[:-1])
+    samples = len(path.x) - 1
+    assert project(path, path.x[7], path.y[7], 0, 2 * samples) == pytest.approx(7 * path.spacing)
+
+
 @both_sides
 def test_rear_axle_behind_the_start_of_a_circle_is_before_it_not_at_its_end(side: float) -> None:
     points = arc(side * 50.0, 6.6, 700)  # more than a whole turn: it comes by its start again

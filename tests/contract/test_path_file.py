@@ -272,6 +272,20 @@ def test_limits_slow_the_car_before_and_behind_a_bend(tmp_path: Path) -> None:
     assert in_bend == pytest.approx(math.sqrt(4.0 * 20.0), rel=0.03)
 
 
+def test_speeds_along_a_closed_path_match_where_its_laps_meet(tmp_path: Path) -> None:
+    angle = np.linspace(0.0, math.tau, 80, endpoint=False)
+    slow = [2.0] + [12.0] * 78 + [4.0]
+    rows = (
+        f"{60 * math.cos(a)},{60 * math.sin(a)},{v}\n" for a, v in zip(angle, slow, strict=True)
+    )
+    file = csv_file(tmp_path, "x_m,y_m,v_mps\n" + "".join(rows))
+    scenario = from_csv(file, limits=SpeedLimits(40.0, 1.5, 50.0))
+    v, at = scenario.speed.speed, scenario.speed.at
+    assert v[0] == v[-1] == 2.0
+    assert (np.abs(np.diff(v**2)) <= 2 * 1.5 * np.diff(at) + 1e-9).all()
+    assert v.max() > 10.0
+
+
 def test_file_wins_over_the_name_of_a_scenario(tmp_path: Path) -> None:
     file = csv_file(tmp_path, "x_m,y_m,v_mps\n0,0,2\n10,0,4\n")
     assert choose_scenario(Route("sc1", path=str(file)), SIZE).name == "road"
