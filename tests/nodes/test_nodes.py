@@ -329,6 +329,13 @@ def test_a_simulator_without_peers_ends_in_one_line(capfd: pytest.CaptureFixture
     assert "no publisher of /steering_command and /target_speed within 0.3 s" in fatal[0]
 
 
+def test_the_exit_code_of_a_process_is_that_of_its_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["node", "--ros-args", "-p", "lock_step:=true", "-p", "start_time_out:=0.3"]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its own
+    assert spin(SimulatorNode) == TIMED_OUT
+
+
 @pytest.mark.parametrize("lock_step", ["true", "false"])
 def test_a_simulator_that_loses_its_controller_ends_in_one_line(
     lock_step: str, capfd: pytest.CaptureFixture[str]
