@@ -19,7 +19,7 @@ from ampc_msgs_config.paths.path import (
     project,
 )
 from ampc_msgs_config.paths.path_fitting import MAX_ARC, MAX_LENGTH, extended_back, make_path
-from ampc_msgs_config.paths.path_frame import path_frame, place, rotate, set_point
+from ampc_msgs_config.paths.path_frame import along_chord, path_frame, place, rotate, set_point
 from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=60, deadline=None, derandomize=True)
@@ -301,6 +301,8 @@ def test_inertial_frame_does_not_see_where_in_the_map_the_path_lies(
     x_car, y_car = rotate(car.x, car.y, turn)
     moved_car = car._replace(x=x_car + x, y=y_car + y, yaw=wrap_angle(car.yaw + turn))
     assert place(frame, *moved_car[1:4]) == pytest.approx(place(plain, *car[1:4]), abs=1e-7)
+    along = along_chord(frame, np.array([moved_car[1:3]]))
+    np.testing.assert_allclose(along, [place(plain, *car[1:4])[:2]], atol=1e-7)
     assert set_point(frame, 33.0) == pytest.approx(set_point(plain, 33.0), abs=1e-7)
 
 

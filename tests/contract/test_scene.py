@@ -91,7 +91,10 @@ def test_missing_values_are_not_drawn() -> None:
     assert {name for name, _ in drawn(View(NORTH))} == {"car", "text"}
     view = View(NORTH, wind=(0.0, 8.0), reference=LINE, prediction=LINE)
     names = {"car", "text", "reference_path", "predicted_path", "wind"}
-    assert {name for name, _ in drawn(view)} == names
+    actual = drawn(view)
+    assert {name for name, _ in actual} == names
+    for name in ("reference_path", "predicted_path"):  # of a line strip only the width is used
+        assert actual[name, 0].size[1:] == (0, 0)
     too_short = View(NORTH, wind=(CALM / 2, 0.0), reference=LINE[:1], prediction=LINE[:1])
     assert {name for name, _ in drawn(too_short)} == {"car", "text"}
 
