@@ -33,10 +33,12 @@ SLOW = {
         "test_reproduce",
         "test_swarm_of_cars",
     ),
+    "test_a_faster_controller_follows_the_path_as_closely",
     "test_charts_of_several_drives_are_exported",
     "test_each_car_of_a_swarm_drives_as_a_car_of_its_own_bit_for_bit",
     "test_every_pair_has_one_cell_and_all_that_repeats_the_run_stands_beside_it",
     "test_further_formats_hold_the_same_numbers",
+    "test_path_sent_again_is_followed_like_a_path_sent_once",
     "test_path_sent_at_each_tick_is_followed_like_a_path_sent_once",
     "test_paper_s_controller_drives_sc1_as_an_independent_prototype_does",
 }
