@@ -86,6 +86,7 @@ def test_car_starts_along_the_path_though_its_first_points_are_the_same(tmp_path
 BAD = {
     "there is no such": (None, "cannot be read"),
     "empty": ("", r"header \[\] must name x_m and y_m"),
+    "header of separators": (",,\n0,0,0\n", r"no header and 3 columns must name x_m"),
     "no header, four columns": ("0,0,0,0\n1,0,0,0\n", r"no header and 4 columns must name x_m"),
     "name twice": ("x_m,y_m,x_m\n0,0,0\n1,0,0\n", r"header .* names 'x_m' twice"),
     "two names for x": ("x_m,y_m,easting\n0,0,0\n", r"names x more than once, 'x_m' and 'easting'"),

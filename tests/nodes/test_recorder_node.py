@@ -73,6 +73,9 @@ def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times(
     taken = arrivals.take_before(100)
     assert [f"{arrival.topic} {time_ns // TICK_NS}" for arrival, time_ns in taken] == expected
     assert not list(arrivals.take_before(100))
+    arrivals.waiting.append(Arrival(8, 100, "/odom", b""))
+    assert not list(arrivals.take_before(100))
+    assert len(list(arrivals.take_before(101))) == 1
 
 
 def test_messages_without_a_clock_are_kept_until_the_end() -> None:
