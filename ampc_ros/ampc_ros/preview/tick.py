@@ -33,7 +33,7 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
-from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct, filter_share
+from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -54,9 +54,9 @@ INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, NOISE_LEVEL, BEFORE = 0, 1, 3,
 
 DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 8, 13, 17, 18
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
-the last tick, estimated acceleration, whether a state is predicted, level of noise, the command before the oldest
-one in the delay, disturbance (5,), predicted state (5,), whose last number is the road-wheel angle,
-and the commands in the delay, the newest last (n + 1,)."""
+the last tick, estimated acceleration, whether a state is predicted, level of noise, the command
+before the oldest one in the delay, disturbance (5,), predicted state (5,), whose last number is the
+road-wheel angle, and the commands in the delay, the newest last (n + 1,)."""
 
 
 class PathPosition(NamedTuple):
@@ -133,8 +133,7 @@ def update_estimates(
         return
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
     if v_x >= LEARN_ABOVE:
-        share = filter_share(numbers, memory[NOISE_LEVEL])
-        level = correct(numbers, v_x, share, x, expected, disturbance)
+        level = correct(numbers, v_x, memory[NOISE_LEVEL], x, expected, disturbance)
         change = min(level, MAX_LEVEL) - memory[NOISE_LEVEL]
         memory[NOISE_LEVEL] += min(T / LEVEL_TIME, 1.0) * change
     else:
