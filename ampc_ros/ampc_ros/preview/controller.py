@@ -21,6 +21,7 @@ from ampc_ros.preview.tick import (
     EXPECTS,
     INDEX,
     LAST_SPEED,
+    NOISE_LEVEL,
     SENT,
     STATE_DELTA,
     call_preview_tick,
@@ -80,13 +81,13 @@ class PreviewMpc(Controller):
         return Estimates(self.memory, self.last_ns)
 
     def inherit(self, other: Controller) -> None:
-        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
+        """Take over disturbance (a number per tick), acceleration and level of noise."""
         estimates = other.estimates if other.formulation == self.formulation else None
         if estimates is None:
             return
         ticks, memory = self.period / other.period, estimates.values
         self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
-        for each in (LAST_SPEED, ACCELERATION):
+        for each in (LAST_SPEED, ACCELERATION, NOISE_LEVEL):
             self.memory[each] = memory[each]
         self.last_ns = estimates.stamp_ns
 
@@ -126,8 +127,11 @@ class PreviewMpc(Controller):
             store_command(self.memory, steering)
 
     def hold_estimates(self) -> None:
-        """Use the next state, which is predicted, without filter, and keep the disturbance."""
-        self.memory[EXPECTS] = 0.0
+        """Use the next state, which is predicted, without filter, and keep all estimates.
+
+        Its speed is that of an earlier state: no measurement of the acceleration.
+        """
+        self.memory[EXPECTS], self.last_ns = 0.0, None
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].
