@@ -425,6 +425,11 @@ class Supervisor:
             self._yaw_rate,
         )
 
+    @property
+    def estimated_lag(self) -> float:
+        """Delay and lag of the steering in total, where the lag is not configured [s]; else nan."""
+        return math.nan if self.config.steering.is_lag_configured else sum(self._lag.steering)
+
     def _use_lag(self) -> None:
         """Use the estimated lag of the steering where none is configured."""
         if not self.config.steering.is_lag_configured:
@@ -441,7 +446,7 @@ class Supervisor:
         was_repeated, self._is_repeated = self._is_repeated, state.stamp_ns == self._answered_ns
         if self._is_repeated or was_repeated:
             self.controller.hold_estimates()
-        elif not self.config.steering.is_lag_configured:
+        elif not self.config.steering.is_lag_configured and math.isnan(self._yaw_rate):
             self._lag.observe(state, self._predictor)
             self._use_lag()
         self._answered_ns = state.stamp_ns
