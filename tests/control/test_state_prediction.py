@@ -687,7 +687,7 @@ def drive_late(
         error.append(progress.errors(centre)[0])
         target = planner.target_speed(measured)
         simulation.advance(supervisor.steering, target, round(STEP * NANOSECONDS))
-    return Late(np.array(error), STEP * np.arange(count), records)
+    return Late(np.array(error), STEP * np.arange(count, dtype=float), records)
 
 
 AT_50_HZ = {"settings": "50hz", "gains": "preview_50hz"}
