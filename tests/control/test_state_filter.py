@@ -3,12 +3,13 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import block_diag, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import at_distance
@@ -51,7 +52,7 @@ ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
 LIMITS = load(ControllerSettings, find("controllers", "table3"))
 NOISE = noise_of(LIMITS)
 X1 = load(MeasurementNoise, find("noise", "x1"))
-BICYCLE: BicycleParameters = tuple(vars(PAPER.chassis).values())  # type: ignore[assignment]
+BICYCLE: BicycleParameters = tuple(vars(PAPER.chassis).values())
 ACTUATOR = Actuator(0, 0.0, ASSUMED_LAG)
 T = 0.1
 TO_CG = PAPER.chassis.cg_to_rear_axle
@@ -65,11 +66,13 @@ def augmented(
     """Return transition (8, 8) and covariances of state and disturbance, and of the measurement."""
     model = SampledModel(np.zeros((STATES, STATES)), *np.zeros((3, STATES)))
     sample_model(vehicle, v, T, actuator, model, make_scratch(400))
-    n, one = MEASURED, np.eye(MEASURED)
-    A = np.block([[model.A[:n, :n], one], [np.zeros((n, n)), one]])
+    n = MEASURED
+    one: Array = np.eye(n)
+    A: Array = np.block([[model.A[:n, :n], one], [0.0 * one, one]])
     state, disturbance = np.square(MODEL_NOISE) * T, np.square(DISTURBANCE_NOISE) * T**3
-    R = np.diag(np.square(np.maximum(noise, LEAST_NOISE)))
-    return A, block_diag(np.diag(state), np.diag(disturbance)), R
+    Q: Array = np.diag(np.concatenate((state, disturbance)))
+    R: Array = np.diag(np.square(np.maximum(noise, LEAST_NOISE)))
+    return A, Q, R
 
 
 def error_map(A: Array, K: Array) -> Array:
@@ -97,7 +100,7 @@ def vehicles(draw: st.DrawFn) -> BicycleParameters:
     l_f, l_r = (1.0 - front) * L, front * L
     I_z = draw(st.floats(0.5, 1.5)) * m * l_f * l_r
     stiff = [draw(st.floats(4.0, 25.0)) * 9.81 * m * load / 2 for load in (front, 1.0 - front)]
-    return m, I_z, l_f, l_r, *stiff
+    return m, I_z, l_f, l_r, stiff[0], stiff[1]
 
 
 @given(
@@ -178,7 +181,7 @@ def test_without_noise_of_the_pose_there_is_no_filter() -> None:
     assert x.tobytes() == before.tobytes()
 
 
-def controller(lag: float = 0.0, **noise: float) -> PreviewMpc:
+def controller(lag: float = 0.0, **noise: Any) -> PreviewMpc:
     """Return the shipped controller for the paper's car; `lag` -1: not configured [s]."""
     steering = replace(PAPER.steering, lag=lag)
     limits, table = replace(LIMITS, **noise), load_gain_table("preview")
@@ -244,7 +247,7 @@ def test_white_noise_is_reduced_as_the_covariance_predicts(v: float, T: float) -
     assert (deviation < L_R).all()
 
 
-def errors_of_straight_drive(lag: float, seed: int, **noise: float) -> tuple[Array, Array]:
+def errors_of_straight_drive(lag: float, seed: int, **noise: Any) -> tuple[Array, Array]:
     """Return errors of estimate and measurement (n, 4) in a drive with noise `x1`, 15 m/s."""
     car = PAPER._replace(steering=replace(PAPER.steering, lag=ASSUMED_LAG if lag < 0 else lag))
     scenario = load_scenario("straight", car.size, 15.0)._replace(start_offset=0.0)
@@ -277,7 +280,7 @@ def errors_of_straight_drive(lag: float, seed: int, **noise: float) -> tuple[Arr
 
 
 def arguments(
-    steers: PreviewMpc, lag: float, **noise: float
+    steers: PreviewMpc, lag: float, **noise: Any
 ) -> tuple[BicycleParameters, Actuator, float, Noise, float]:
     """Return the arguments of `filter_numbers` for a controller."""
     level = noise_of(replace(LIMITS, **noise))
@@ -323,7 +326,7 @@ def test_a_misaligned_wheel_is_learnt_with_noise_that_is_configured_too_low(
     assert abs(plan.diagnosis.cross_track_error) < 0.05
 
 
-def after_a_new_path(lag: float, seed: int | None, **noise: float) -> Array:
+def after_a_new_path(lag: float, seed: int | None, **noise: Any) -> Array:
     """Return the distances from a path 0.4 m beside `STRAIGHT` in 5 s after it has come [m]."""
     scenario = load_scenario("straight", PAPER.size, 9.0)._replace(start_offset=0.0)
     rng = np.random.default_rng(seed)

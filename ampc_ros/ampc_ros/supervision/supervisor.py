@@ -479,7 +479,7 @@ class Supervisor:
     def can_predict(self, now_ns: int) -> bool:
         """Return whether the newest state can be predicted to this time."""
         prediction = self.config.settings.state_prediction
-        return self._state is not None and self._state.ages(now_ns).age <= prediction
+        return self._state is not None and 0.0 < self._state.ages(now_ns).age <= prediction
 
     def is_path_lost(self, now_ns: int) -> bool:
         """Return whether the path is too old to be followed without a stop."""
