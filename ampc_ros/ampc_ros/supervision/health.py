@@ -1,5 +1,6 @@
 """Health of a supervised controller as a sentence and as numbers; without ROS."""
 
+import math
 from typing import NamedTuple
 
 from ampc_msgs_config.types import (

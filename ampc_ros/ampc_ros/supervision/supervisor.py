@@ -446,7 +446,8 @@ class Supervisor:
         was_repeated, self._is_repeated = self._is_repeated, state.stamp_ns == self._answered_ns
         if self._is_repeated or was_repeated:
             self.controller.hold_estimates()
-        elif not self.config.steering.is_lag_configured and math.isnan(self._yaw_rate):
+        is_new, is_measured = not self._is_repeated, math.isnan(self._yaw_rate)
+        if is_new and is_measured and not self.config.steering.is_lag_configured:
             self._lag.observe(state, self._predictor)
             self._use_lag()
         self._answered_ns = state.stamp_ns
