@@ -61,5 +61,8 @@ class Controller:
     def hold_estimates(self) -> None:
         """Keep all estimates in the next step, whose state is predicted; by default none exist."""
 
+    def distrust_noise(self) -> None:
+        """Expect other noise than configured in the next state; by default it is ignored."""
+
     def inherit(self, other: "Controller") -> None:
         """Use the estimates of a controller of the same formulation; by default there are none."""

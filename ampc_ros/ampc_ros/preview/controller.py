@@ -133,6 +133,10 @@ class PreviewMpc(Controller):
         """
         self.memory[EXPECTS], self.last_ns = 0.0, None
 
+    def distrust_noise(self) -> None:
+        """Use the next state without filter, unless the lag of the steering is not configured."""
+        self.memory[NOISE_LEVEL] = 0.0
+
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].
 

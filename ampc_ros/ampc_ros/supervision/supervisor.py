@@ -431,6 +431,8 @@ class Supervisor:
         if self._is_repeated or was_repeated:
             self.controller.hold_estimates()
         self._answered_ns = state.stamp_ns
+        if not math.isnan(self._yaw_rate):  # the slope of the heading replaces the yaw rate
+            self.controller.distrust_noise()
         longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
         return self._predictor.predict(state, min(now_ns, state.stamp_ns + longest_ns))
 
