@@ -81,13 +81,13 @@ class PreviewMpc(Controller):
         return Estimates(self.memory, self.last_ns)
 
     def inherit(self, other: Controller) -> None:
-        """Take over disturbance (a number per tick), acceleration and level of noise."""
+        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
         estimates = other.estimates if other.formulation == self.formulation else None
         if estimates is None:
             return
         ticks, memory = self.period / other.period, estimates.values
         self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
-        for each in (LAST_SPEED, ACCELERATION, NOISE_LEVEL):
+        for each in (LAST_SPEED, ACCELERATION):
             self.memory[each] = memory[each]
         self.last_ns = estimates.stamp_ns
 
