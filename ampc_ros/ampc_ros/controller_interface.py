@@ -70,5 +70,8 @@ class Controller:
             caution: Share of the state filter that is used also without noise, 0 to 1.
         """
 
+    def distrust_noise(self) -> None:
+        """Expect other noise than configured in the next state; by default it is ignored."""
+
     def inherit(self, other: "Controller") -> None:
         """Use the estimates of a controller of the same formulation; by default there are none."""

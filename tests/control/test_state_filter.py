@@ -308,6 +308,44 @@ def test_a_jump_is_used_as_measured_and_is_no_disturbance(
     assert not d.any()
 
 
+@pytest.mark.parametrize("change", [0.2, -0.4, 9.0])
+def test_a_yaw_rate_that_no_noise_explains_is_used_without_filter(change: float) -> None:
+    numbers = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 1.0)
+    x, expected, d = np.zeros((3, MEASURED))
+    x[:] = 0.01, 0.005, change, 0.03
+    before = x.copy()
+    correct(numbers, 9.0, 1.0, x, expected, d)
+    assert x.tobytes() == before.tobytes()
+    np.testing.assert_allclose(d, np.array(DISTURBANCE_GAIN) * before)
+
+
+def test_with_a_replaced_yaw_rate_the_next_state_is_not_filtered() -> None:
+    filtered, off, rng = controller(), controller(**OFF), np.random.default_rng(9)
+    for k in range(60):
+        y, yaw = rng.normal(0.0, (0.05, 0.0087))
+        state = VehicleState(k * NANOSECONDS // 10, 0.9 * k, y, yaw, 9.0, 0.0, 0.0)
+        if k >= 40:  # the same memory, but for the level of noise
+            filtered.distrust_noise()
+            off.memory[:] = filtered.memory
+        steering = [each.step(state, STRAIGHT).steering for each in (filtered, off)]
+        assert k < 40 or steering[0] == steering[1]
+
+
+def test_a_controller_without_filter_that_inherits_uses_the_measured_state() -> None:
+    filtered, off, rng = controller(), controller(**OFF), np.random.default_rng(10)
+    for k in range(40):
+        y, yaw = rng.normal(0.0, (0.05, 0.0087))
+        state = VehicleState(k * NANOSECONDS // 10, 0.9 * k, y, yaw, 9.0, 0.0, 0.0)
+        filtered.step(state, STRAIGHT)
+    assert filtered.memory[NOISE_LEVEL] > FULL_LEVEL
+    off.inherit(filtered)
+    assert off.memory[NOISE_LEVEL] == 0.0
+    assert (
+        off.memory[DISTURBANCE:EXPECTED].tobytes()
+        == filtered.memory[DISTURBANCE:EXPECTED].tobytes()
+    )
+
+
 @pytest.mark.parametrize(("position", "heading"), [(0.005, 0.001), (0.05, 0.0), (0.0, 0.0087)])
 @pytest.mark.parametrize("lag", [0.0, -1.0])
 def test_a_misaligned_wheel_is_learnt_with_noise_that_is_configured_too_low(

@@ -91,13 +91,13 @@ class PreviewMpc(Controller):
         return Estimates(self.memory, self.last_ns)
 
     def inherit(self, other: Controller) -> None:
-        """Take over disturbance (a number per tick), acceleration and level of noise."""
+        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
         estimates = other.estimates if other.formulation == self.formulation else None
         if estimates is None:
             return
         ticks, memory = self.period / other.period, estimates.values
         self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
-        for each in (LAST_SPEED, ACCELERATION, NOISE_LEVEL):
+        for each in (LAST_SPEED, ACCELERATION):
             self.memory[each] = memory[each]
         self.last_ns = estimates.stamp_ns
 
@@ -148,6 +148,10 @@ class PreviewMpc(Controller):
         self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(delay, lag, self.period)
         self.model_row[ROW_SIZE + LEAST_SHARE] = caution
         self.model = unpack_internal_model(self.model_row)
+
+    def distrust_noise(self) -> None:
+        """Use the next state without filter, unless the lag of the steering is not configured."""
+        self.memory[NOISE_LEVEL] = 0.0
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

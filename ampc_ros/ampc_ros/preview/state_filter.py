@@ -17,7 +17,7 @@ from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.internal_model import Actuator
-from ampc_ros.mpc.model import STATES, BicycleParameters
+from ampc_ros.mpc.model import STATES, YAW_RATE, BicycleParameters
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.model import E_PSI, E_Y, SampledModel, sample_model
 
@@ -45,6 +45,9 @@ OUTLIER_LEVEL = 16.0
 LASTING_LEVEL = 3.0
 """Level of noise from which such an innovation is no jump but an error of the model: the
 disturbance is estimated as without filter."""
+LARGEST_YAW_CHANGE = 0.15
+"""Innovation of the yaw rate above which the filter does not act: the yaw rate may be wrong, and
+would be integrated into the estimated heading [rad/s]."""
 
 
 class Noise(NamedTuple):
@@ -165,7 +168,9 @@ def correct(
         expected[i] = x[i] - expected[i]  # the innovation
     for i in (E_PSI, E_Y):
         level += 0.5 * (expected[i] / numbers[i]) ** 2
-    if level > OUTLIER_LEVEL:
+    if abs(expected[YAW_RATE]) > LARGEST_YAW_CHANGE:
+        share = 0.0
+    elif level > OUTLIER_LEVEL:
         if share > 0.0 and noise_level < LASTING_LEVEL:
             return level
         share = 0.0

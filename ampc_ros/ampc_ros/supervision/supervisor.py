@@ -451,6 +451,8 @@ class Supervisor:
             self._lag.observe(state, self._predictor)
             self._use_lag()
         self._answered_ns = state.stamp_ns
+        if not math.isnan(self._yaw_rate):  # the slope of the heading replaces the yaw rate
+            self.controller.distrust_noise()
         longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
         return self._predictor.predict(state, min(now_ns, state.stamp_ns + longest_ns))
 
