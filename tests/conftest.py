@@ -1,33 +1,27 @@
-"""Fixtures and markers of all tests: a ROS domain for each process and for single tests."""
+"""Fixtures and markers of all tests: ROS domains, and a check that no process is left."""
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from itertools import count
 
 import pytest
 from domain_coordinator import domain_id
 from hypothesis.internal.conjecture import providers
 
 from launch_scripts.run.processes import ros_environment
+from tests.left_processes import kill_processes, parent_of, processes_with
 from tests.markers import markers_of
+from tests.ros_domains import new_domain, next_domain
 
-DOMAINS = 100
-"""ROS domains 1 to 100 are available to tests."""
-candidates = count(os.getpid())
+PERMANENT = ("multiprocessing.forkserver", "multiprocessing.resource_tracker")
+"""Processes that Python starts for itself, and ends with this one."""
+GRACE = 10.0
+"""Wall time that processes of a module have to end after its last test [s]."""
 
 # Hypothesis draws constants of the modules that a process has loaded. Without this line, the
 # examples of a derandomised test would depend on the earlier tests of the same worker.
 providers.is_local_module_file = lambda _: False  # type: ignore[assignment, attr-defined]
-
-
-def next_domain() -> int:
-    """Return the next domain to try.
-
-    Each process starts elsewhere and goes round, so a domain in which nodes have been killed, or of
-    another test run, is not used again soon. `domain_id` skips domains that are in use.
-    """
-    return next(candidates) % DOMAINS + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -40,10 +34,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def ros_domain() -> Iterator[int]:
     """Reserve a ROS domain for this process, without other nodes; return its number."""
-    with domain_id(next_domain) as number, pytest.MonkeyPatch.context() as patch:
+    with new_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in ros_environment().items():
             patch.setenv(name, value)
-        patch.setenv("ROS_DOMAIN_ID", str(number))
         yield number
 
 
@@ -67,6 +60,35 @@ def own_domain(ros_domain: int, reserved: ExitStack, monkeypatch: pytest.MonkeyP
 @pytest.fixture(scope="module", autouse=True)
 def own_domain_of_module(ros_domain: int) -> Iterator[None]:
     """Reserve a ROS domain for the tests of a module, without nodes that other modules left."""
-    with domain_id(next_domain) as number, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
+    with new_domain():
         yield
+
+
+@pytest.fixture(scope="session")
+def mark() -> Iterator[str]:
+    """Set a variable of the environment that the processes of this session inherit."""
+    name = f"AMPC_TESTS_{os.getpid()}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(name, "1")
+        yield name
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_process_is_left(mark: str, request: pytest.FixtureRequest) -> Iterator[None]:
+    """Check that all processes have ended that the tests of a module started."""
+    yield
+    until = time.monotonic() + GRACE
+    while left := temporary_processes(mark):
+        if time.monotonic() > until:
+            kill_processes(left)
+            pytest.fail(f"{request.node.name} leaves {'; '.join(left.values())}", pytrace=False)
+        time.sleep(0.05)
+
+
+def temporary_processes(mark: str) -> dict[int, str]:
+    """Return the processes of this session that have to end with their module."""
+    return {
+        number: command
+        for number, command in processes_with(mark).items()
+        if parent_of(number) != os.getpid() or not any(name in command for name in PERMANENT)
+    }

@@ -17,8 +17,8 @@ EQUATIONS = {
 MANY_SWEEPS = ("2000", "enough_sweeps")
 """Parts of the names of tests that solve hundreds of problems with thousands of sweeps."""
 ROS = {
-    *("test_environment", "test_guard_coverage", "test_recording", "test_report_browser"),
-    *("test_start", "test_tune"),
+    *("test_environment", "test_guard_coverage", "test_left_processes", "test_loaded_modules"),
+    *("test_recording", "test_report_browser", "test_start", "test_tune"),
     "test_a_process_without_a_home_compiles_into_the_temporary_folder",
     "test_another_process_replays_the_same_bits",
     "test_colcon_builds_every_package_as_ament_python",
@@ -33,8 +33,13 @@ SLOW = {
         "test_reproduce",
         "test_swarm_of_cars",
     ),
+    "test_a_faster_controller_follows_the_path_as_closely",
+    "test_charts_of_several_drives_are_exported",
     "test_each_car_of_a_swarm_drives_as_a_car_of_its_own_bit_for_bit",
     "test_every_pair_has_one_cell_and_all_that_repeats_the_run_stands_beside_it",
+    "test_further_formats_hold_the_same_numbers",
+    "test_path_sent_again_is_followed_like_a_path_sent_once",
+    "test_path_sent_at_each_tick_is_followed_like_a_path_sent_once",
     "test_paper_s_controller_drives_sc1_as_an_independent_prototype_does",
 }
 """Files and tests that compute for more than two seconds, or compile functions of their own."""

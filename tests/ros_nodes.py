@@ -1,5 +1,6 @@
 """Nodes inside a test: one context, one executor, and waits with a timeout."""
 
+import gc
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,11 +17,14 @@ from tests.waiting import TIMEOUT
 def ros_context(*arguments: str, **parameters: object) -> Iterator[SingleThreadedExecutor]:
     """Join ROS; yield the executor of the nodes, which are destroyed at the end.
 
+    Nodes refer to themselves. Until they are collected, nodes of earlier tests stay visible.
+
     Args:
         arguments: Further ROS arguments, such as `-r` and `__ns:=/car`.
         parameters: Parameters of all nodes.
     """
     texts = [text for key, value in parameters.items() for text in ("-p", f"{key}:={value}")]
+    gc.collect()
     rclpy.init(args=["--ros-args", *texts, *arguments])
     executor = SingleThreadedExecutor()
     try:

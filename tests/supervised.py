@@ -2,18 +2,20 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config.frames import as_received
 from ampc_msgs_config.metrics import Drive
-from ampc_msgs_config.scenarios.scenario import SpeedPlanner
+from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner
 from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
 from ampc_ros.configuration import Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from launch_scripts.run.simulated import SimulatedDrive
+from sim_vehicle.parameters import Vehicle
 from tests.workshop.acceptance.trials import Trial, assumed_vehicle, plant, scenario_of, with_errors
 
 Distortion = Callable[[VehicleState, float], VehicleState]
@@ -51,10 +53,18 @@ class Run(NamedTuple):
         return [each.command.rung for each in self.records]
 
 
+@cache
 def made_for(car: str = "paper", controller: str = "preview", **choices: object) -> Configuration:
     """Return a configuration with a static path and the guard of test tracks."""
     free = {"guard": "track", "static_path": True, **choices}
     return configuration(Choices(controller, car, **free))  # type: ignore[arg-type]
+
+
+@cache
+def road_of(trial: Trial) -> tuple[Vehicle, Scenario]:
+    """Return the vehicle that the controller assumes, and the scenario."""
+    vehicle = assumed_vehicle(trial)
+    return vehicle, scenario_of(trial, vehicle)
 
 
 def supervised(
@@ -77,8 +87,7 @@ def supervised(
     """
     steers = supervisor or Supervisor(config)
     policy = TickPolicy(steers)
-    vehicle = assumed_vehicle(trial)
-    scenario = scenario_of(trial, vehicle)
+    vehicle, scenario = road_of(trial)
     simulation, planner = plant(trial, vehicle, scenario), SpeedPlanner(scenario)
     steers.take_path(scenario.points, NANOSECONDS, NANOSECONDS)
     period_ns, states, steering = round(steers.period * NANOSECONDS), [], []

@@ -19,7 +19,7 @@ from ampc_msgs_config.paths.path import (
     project,
 )
 from ampc_msgs_config.paths.path_fitting import MAX_ARC, MAX_LENGTH, extended_back, make_path
-from ampc_msgs_config.paths.path_frame import path_frame, place, rotate, set_point
+from ampc_msgs_config.paths.path_frame import along_chord, path_frame, place, rotate, set_point
 from ampc_msgs_config.types import Array, VehicleState
 
 many = settings(max_examples=60, deadline=None, derandomize=True)
@@ -242,6 +242,12 @@ def test_car_is_first_caught_by_a_part_of_the_path_that_leads_its_way() -> None:
     assert Progress(path).advance(50.0, 2.0) == pytest.approx(50.0, abs=0.01)  # heading unknown
 
 
+def test_of_equally_near_points_the_first_one_counts() -> None:
+    path = make_path(arc(40.0, math.tau, 121)[:-1])
+    samples = len(path.x) - 1
+    assert project(path, path.x[7], path.y[7], 0, 2 * samples) == pytest.approx(7 * path.spacing)
+
+
 @both_sides
 def test_rear_axle_behind_the_start_of_a_circle_is_before_it_not_at_its_end(side: float) -> None:
     points = arc(side * 50.0, 6.6, 700)  # more than a whole turn: it comes by its start again
@@ -295,6 +301,8 @@ def test_inertial_frame_does_not_see_where_in_the_map_the_path_lies(
     x_car, y_car = rotate(car.x, car.y, turn)
     moved_car = car._replace(x=x_car + x, y=y_car + y, yaw=wrap_angle(car.yaw + turn))
     assert place(frame, *moved_car[1:4]) == pytest.approx(place(plain, *car[1:4]), abs=1e-7)
+    along = along_chord(frame, np.array([moved_car[1:3]]))
+    np.testing.assert_allclose(along, [place(plain, *car[1:4])[:2]], atol=1e-7)
     assert set_point(frame, 33.0) == pytest.approx(set_point(plain, 33.0), abs=1e-7)
 
 

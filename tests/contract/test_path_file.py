@@ -86,6 +86,7 @@ def test_car_starts_along_the_path_though_its_first_points_are_the_same(tmp_path
 BAD = {
     "there is no such": (None, "cannot be read"),
     "empty": ("", r"header \[\] must name x_m and y_m"),
+    "header of separators": (",,\n0,0,0\n", r"no header and 3 columns must name x_m"),
     "no header, four columns": ("0,0,0,0\n1,0,0,0\n", r"no header and 4 columns must name x_m"),
     "name twice": ("x_m,y_m,x_m\n0,0,0\n1,0,0\n", r"header .* names 'x_m' twice"),
     "two names for x": ("x_m,y_m,easting\n0,0,0\n", r"names x more than once, 'x_m' and 'easting'"),
@@ -270,6 +271,20 @@ def test_limits_slow_the_car_before_and_behind_a_bend(tmp_path: Path) -> None:
     assert (np.abs(np.diff(v**2)) <= 2 * 2.0 * np.diff(at) + 1e-9).all()
     in_bend = float(np.interp(115.0, at, v))
     assert in_bend == pytest.approx(math.sqrt(4.0 * 20.0), rel=0.03)
+
+
+def test_speeds_along_a_closed_path_match_where_its_laps_meet(tmp_path: Path) -> None:
+    angle = np.linspace(0.0, math.tau, 80, endpoint=False)
+    slow = [2.0] + [12.0] * 78 + [4.0]
+    rows = (
+        f"{60 * math.cos(a)},{60 * math.sin(a)},{v}\n" for a, v in zip(angle, slow, strict=True)
+    )
+    file = csv_file(tmp_path, "x_m,y_m,v_mps\n" + "".join(rows))
+    scenario = from_csv(file, limits=SpeedLimits(40.0, 1.5, 50.0))
+    v, at = scenario.speed.speed, scenario.speed.at
+    assert v[0] == v[-1] == 2.0
+    assert (np.abs(np.diff(v**2)) <= 2 * 1.5 * np.diff(at) + 1e-9).all()
+    assert v.max() > 10.0
 
 
 def test_file_wins_over_the_name_of_a_scenario(tmp_path: Path) -> None:

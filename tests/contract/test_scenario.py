@@ -17,6 +17,7 @@ from ampc_msgs_config.paths.curves import ISO_ENTRY, q
 from ampc_msgs_config.paths.path import point_at, project
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import (
+    POINT_SPACING,
     SPEED_PREVIEW,
     STAND_OFF,
     Scenario,
@@ -212,9 +213,16 @@ def test_iso_path_begins_and_ends_in_the_middle_of_its_lanes() -> None:
 
 def test_stretch_stretches_path_and_lanes_along_x(tmp_path: Path) -> None:
     path = {"kind": "same_as", "scenario": "iso3888_1", "stretch": 2.0}
-    stretched = load_scenario(written(tmp_path, path=path), SIZE)
-    for long, short in zip(stretched.lanes, shipped_scenario("iso3888_1").lanes, strict=True):
+    stretched, plain = (
+        load_scenario(written(tmp_path, path=path, duration=60.0), SIZE),
+        shipped_scenario("iso3888_1"),
+    )
+    for long, short in zip(stretched.lanes, plain.lanes, strict=True):
         assert long == (2 * short.start, 2 * short.end, short.right, short.left)
+    X, Y = plain.points[2 * plain.points[:, 0] < stretched.points[-1, 0]].T
+    np.testing.assert_allclose(np.diff(stretched.points[:, 0]), POINT_SPACING)
+    assert np.ptp(Y) > 3.0
+    np.testing.assert_allclose(np.interp(2 * X, *stretched.points.T), Y, atol=0.02)
 
 
 @pytest.mark.parametrize("radius", [50.0, -20.0])
@@ -375,6 +383,7 @@ BAD: dict[str, dict[str, Any]] = {
     r"speed = \[\] must be a list of 1 to": {"speed": []},
     r"speed\[0\]\[1\] = nan must lie in": {"speed": [[0, math.nan]]},
     r"speed\[2\]: time 1 must be greater than 2": {"speed": [[0, 5], [2, 5], [1, 5]]},
+    r"speed\[1\]: time 2 must be greater than 2": {"speed": [[2, 5], [2, 6]]},
     r"speed\[0\]\[1\] = 101 must lie in \[0, 100\] m/s": {"speed": [[0, 101]]},
     r"speed\[0\]\[1\] = -1 must lie in \[0, 100\] m/s": {"speed": [[0, -1]]},
     r"wind = 3 must be a list": {"wind": 3},

@@ -50,6 +50,9 @@ def test_wheels_stand_at_the_axles_and_only_the_front_ones_turn() -> None:
     assert front_left.position[1] == front_right.position[1] == pytest.approx(22.8)
     assert rear_left.position[1] == rear_right.position[1] == pytest.approx(20.0)
     assert front_left.position[0] < 10.0 < front_right.position[0]
+    half_track = (CAR.width - front_left.size[1]) / 2  # outer sides in line with the body's
+    assert rear_left.position[0] == pytest.approx(10.0 - half_track)
+    assert rear_right.position[0] == pytest.approx(10.0 + half_track)
     assert front_left.yaw > front_right.yaw > NORTH.yaw == rear_left.yaw == rear_right.yaw
 
 
@@ -88,7 +91,10 @@ def test_missing_values_are_not_drawn() -> None:
     assert {name for name, _ in drawn(View(NORTH))} == {"car", "text"}
     view = View(NORTH, wind=(0.0, 8.0), reference=LINE, prediction=LINE)
     names = {"car", "text", "reference_path", "predicted_path", "wind"}
-    assert {name for name, _ in drawn(view)} == names
+    actual = drawn(view)
+    assert {name for name, _ in actual} == names
+    for name in ("reference_path", "predicted_path"):  # of a line strip only the width is used
+        assert actual[name, 0].size[1:] == (0, 0)
     too_short = View(NORTH, wind=(CALM / 2, 0.0), reference=LINE[:1], prediction=LINE[:1])
     assert {name for name, _ in drawn(too_short)} == {"car", "text"}
 

@@ -67,3 +67,11 @@ def test_a_message_that_is_cut_is_rejected() -> None:
     for size in (0, 3, 4, 17, 30, 200, len(data) - 60):
         with pytest.raises(ValueError, match="cannot be decoded as Path"):
             points_of(data[:size])
+
+
+@pytest.mark.parametrize("encapsulation", [b"\0\0\0\0", b"\0\3\0\0"], ids=["big endian", "list"])
+def test_another_encapsulation_is_no_table(encapsulation: bytes) -> None:
+    data = serialize_message(message(np.ones((9, 2)), "map", ""))
+    assert preamble(data).poses == 9
+    with pytest.raises(NotTabular):
+        preamble(encapsulation + data[4:])

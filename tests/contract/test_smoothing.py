@@ -246,3 +246,12 @@ def test_recorded_standstill_counts_as_one_point(noise: float, seed: int) -> Non
     path = make_path(points)
     assert np.abs(offsets("weave", path)).max() < 0.03
     assert np.abs(path.curvature).max() < 0.06
+
+
+def test_a_point_away_from_a_standstill_is_kept() -> None:
+    points = 0.02 * np.random.default_rng(0).standard_normal((40, 2))
+    points[1] = 0.5, 0.0
+    left = without_standstills(points)
+    assert len(left) == 3
+    np.testing.assert_array_equal(left[:2], points[:2])
+    np.testing.assert_allclose(left[2], points[2:].mean(axis=0))

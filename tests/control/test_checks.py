@@ -543,8 +543,7 @@ def test_a_filter_that_is_reset_takes_any_state_and_keeps_its_counts() -> None:
     assert filtered.rejected["position_jump"] == 1
 
 
-@pytest.mark.parametrize("hz", [10, 50])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("hz", "seed"), [(10, 0), (10, 1), (10, 2), (50, 0)])
 @pytest.mark.parametrize(("v", "yaw_rate"), [(9.0, 0.3), (25.0, 0.02), (1e-3, 1e-4)])
 def test_ten_minutes_of_noisy_measurements_are_all_accepted(
     hz: int, seed: int, v: float, yaw_rate: float

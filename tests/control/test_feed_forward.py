@@ -38,6 +38,7 @@ SIZE = 1e-6
 """Of the differences for the Jacobian."""
 
 
+@cache
 def chassis(car: str) -> ChassisParameters:
     """Load a shipped car."""
     return load(ChassisParameters, find("vehicles", car), "chassis")
@@ -199,6 +200,12 @@ def test_car_on_its_steady_circle_gets_the_steady_angle(
     assert angle == pytest.approx(wanted, rel=0.02)
 
 
+@cache
+def waves(side: float) -> Path:
+    """Return a path along a sine that first bends to one side."""
+    return make_path(np.array([(s, side * 3.0 * math.sin(s / 20.0)) for s in range(0, 200, 2)]))
+
+
 @every_car
 @given(
     x=st.floats(0.0, 150.0), y=st.floats(-8.0, 8.0), yaw=st.floats(-3.1, 3.1),
@@ -208,10 +215,9 @@ def test_car_on_its_steady_circle_gets_the_steady_angle(
 def test_mirrored_states_get_mirrored_angles_exactly(
     car: str, x: float, y: float, yaw: float, v_x: float, v_y: float, r: float
 ) -> None:
-    points = np.array([(s, 3.0 * math.sin(s / 20.0)) for s in range(0, 200, 2)])
-    left = alone(car).steering(VehicleState(0, x, y, yaw, v_x, v_y, r), make_path(points))
+    left = alone(car).steering(VehicleState(0, x, y, yaw, v_x, v_y, r), waves(1.0))
     mirrored = VehicleState(0, x, -y, -yaw, v_x, -v_y, -r)
-    assert alone(car).steering(mirrored, make_path(points * [1.0, -1.0])) == -left
+    assert alone(car).steering(mirrored, waves(-1.0)) == -left
     assert math.isfinite(left)
 
 
@@ -226,7 +232,7 @@ def test_pull_does_not_grow_beyond_a_metre(v_x: float) -> None:
 
 
 def test_where_odom_describes_does_not_matter() -> None:
-    bend = make_path([(x, 3.0 * math.sin(x / 20.0)) for x in range(0, 200, 2)])
+    bend = waves(1.0)
     for x in (10.0, 40.0, 90.0):
         car = VehicleState(NANOSECONDS, x, 1.0, 0.1, 12.0, 0.2, 0.1)
         behind = FeedForward(chassis("paper"), 1.6)

@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 def good(v_x: float = 9.0, **choices: object) -> Case:
     """Return a supervisor that has steered once, and what it decided."""
-    supervisor = Supervisor(made_for(**choices))  # type: ignore[arg-type]
+    supervisor = Supervisor(made_for(**choices))
     supervisor.take_path(ROAD, NOW, NOW)
     supervisor.take_state(VehicleState(NOW, 50.0, 0.1, 0.0, v_x, 0.0, 0.0), NOW)
     decision = supervisor.tick(NOW)

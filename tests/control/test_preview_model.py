@@ -10,13 +10,25 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters, SteeringParameters
+from ampc_msgs_config.parameters import (
+    MIN_SPEED,
+    ChassisParameters,
+    ControllerSettings,
+    SteeringParameters,
+)
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.internal_model import Actuator, actuator_of
+from ampc_ros.mpc.internal_model import (
+    Actuator,
+    actuator_of,
+    pack_internal_model,
+    unpack_internal_model,
+)
 from ampc_ros.mpc.model import DELTA, STATES, V_Y, YAW_RATE, BicycleParameters
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.model import E_PSI, E_Y, angle_bound, side_acceleration, steady_steering
-from tests.filled import lateral_dynamics, sampled_model
+from ampc_ros.preview.nominal_steering import Road
+from ampc_ros.preview.qp_assembly import Past, predict_on_road
+from tests.filled import laguerre_sequence, lateral_dynamics, running_sum, sampled_model
 
 T = 0.1
 FINE = 100
@@ -99,6 +111,31 @@ def test_step_is_the_exponentials_of_the_block_matrix_before_and_after_the_input
     A, B_old, B_new, D = sampled_model(vehicle, v_x, T, Actuator(0, share, lag))
     result = np.column_stack((A[:n, :n], B_old[:n], B_new[:n], D[:n]))
     np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1, 0.17, 0.3])
+def test_prediction_is_the_drive_under_the_commands_in_the_delay_and_the_plan(
+    delay: float, lag: float
+) -> None:
+    rng, H, N = np.random.default_rng(2), 12, 3
+    chassis, settings = CHASSIS, load(ControllerSettings, find("controllers", "table3"))
+    model = unpack_internal_model(pack_internal_model(chassis, settings, steering(delay, lag)))
+    S = running_sum(laguerre_sequence(0.3, N, 4))
+    eta, nominal = 0.1 * rng.standard_normal(N), 0.1 * rng.standard_normal(H)
+    kappa, disturbance = 0.01 * rng.standard_normal(H + 1), 0.01 * rng.standard_normal(STATES)
+    sent = 0.1 * rng.standard_normal(model.actuator.ticks + 1)
+    past = Past(0.1 * rng.standard_normal(STATES), sent, disturbance)
+    road = Road(np.full(H + 1, 12.0), kappa, np.zeros(H))
+    free, Phi = np.full(H, np.nan), np.full((N, H), np.nan)
+    predict_on_road(model, past, road, nominal, S, free, Phi, make_scratch(1000))
+    A, B_old, B_new, D = sampled_model(VEHICLE, 12.0, model.limits.T, model.actuator)
+    plan = nominal + S[np.minimum(np.arange(H), len(S) - 1)] @ eta
+    inputs, x, expected = np.concatenate((sent, plan)), past.x, []
+    for k in range(H):
+        x = A @ x + B_old * inputs[k] + B_new * inputs[k + 1] + D * kappa[k + 1] + disturbance
+        expected.append(x[E_Y])
+    np.testing.assert_allclose(free + eta @ Phi, expected, rtol=0, atol=1e-12)
 
 
 @many

@@ -73,6 +73,7 @@ def answered() -> tuple[Stub, TickPolicy]:
 @pytest.mark.parametrize("late_ns", [0, 1, 4 * MS, PERIOD_NS - 1])
 def test_lateness_is_the_time_since_the_tick_was_due(late_ns: int) -> None:
     policy = policy_of(Stub())
+    assert policy.lateness_ns == 0
     for tick in range(1, 5):
         policy.on_timer(tick * PERIOD_NS + late_ns, PERIOD_NS - late_ns)
         assert (policy.left_out, policy.lateness_ns) == (0, late_ns)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -110,9 +111,19 @@ def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None
     viewer.look()
     viewer.picture()
     assert node.inputs.topics.keys() == set(TYPES)
+    assert {name for name, _ in viewer.picture()} == {"car", "text"}
     viewer.destroy_subscription(viewer.eye)
     spin_until(viewer.all, lambda: not node.inputs.topics)
     assert not node.values
+
+
+def test_it_reports_while_a_viewer_is_subscribed(viewer: Viewer) -> None:
+    reports: list[DiagnosticArray] = []
+    viewer.create_subscription(DiagnosticArray, ros.DIAGNOSTICS, reports.append, ros.RELIABLE)
+    viewer.look()
+    spin_until(viewer.all, lambda: bool(reports))
+    (status,) = reports[0].status
+    assert (status.name, status.message) == ("/markers", "waiting for odom")
 
 
 def test_everything_is_drawn_in_the_map_with_a_lifetime(viewer: Viewer) -> None:

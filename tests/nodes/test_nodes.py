@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from ampc_msgs_config.types import FEED_FORWARD, NANOSECONDS, OPTIMAL, SHIFTED_P
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
-from sim_vehicle.nodes.simulator_node import TIMED_OUT, SimulatorNode
+from sim_vehicle.nodes.simulator_node import RESEND, TIMED_OUT, SimulatorNode
 from tests.fresh_process import compiled_signatures, in_a_fresh_process
 from tests.ros_nodes import add, connect, ros_context, spin_to_the_end, spin_until
 
@@ -128,7 +129,8 @@ WRONG_VALUES = [
     (PlannerNode, "path:=road.csv", "road.csv: line 3: 'x' must be a number"),
     (PlannerNode, "speed:=.nan", "speed out of range Min: -1.0, Max: 100.0, value: nan"),
     (PlannerNode, "speed:=fast", "'speed' to 'fast' of type 'STRING', expecting type 'DOUBLE'"),
-    (SimulatorNode, "friction:=7.0", "friction out of range"),
+    (SimulatorNode, "friction:=3.1", "friction out of range Min: -1.0, Max: 3.0, value: 3.1"),
+    (SimulatorNode, "friction:=-1.1", "friction out of range Min: -1.0, Max: 3.0, value: -1.1"),
     (SimulatorNode, "noise:=loud", "'loud' is neither a file nor one of the shipped noise"),
     (SimulatorNode, "seed:=-1", "seed out of range"),
     (SimulatorNode, "time_out:=.inf", "time_out out of range"),
@@ -327,6 +329,13 @@ def test_a_simulator_without_peers_ends_in_one_line(capfd: pytest.CaptureFixture
     assert "no publisher of /steering_command and /target_speed within 0.3 s" in fatal[0]
 
 
+def test_the_exit_code_of_a_process_is_that_of_its_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["node", "--ros-args", "-p", "lock_step:=true", "-p", "start_time_out:=0.3"]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its own
+    assert spin(SimulatorNode) == TIMED_OUT
+
+
 @pytest.mark.parametrize("lock_step", ["true", "false"])
 def test_a_simulator_that_loses_its_controller_ends_in_one_line(
     lock_step: str, capfd: pytest.CaptureFixture[str]
@@ -342,6 +351,23 @@ def test_a_simulator_that_loses_its_controller_ends_in_one_line(
     assert len(fatal) == 1
     assert "no steering_command" in fatal[0]
     assert "target_speed" not in fatal[0]
+
+
+def test_a_state_is_sent_again_only_after_it_has_waited_for_its_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with ros_context(lock_step="true") as executor:
+        simulator = SimulatorNode()
+        add(executor, simulator)
+        simulator.publish_state()
+        sent: list[Any] = []
+        monkeypatch.setattr(simulator, "send", lambda: sent.append(simulator.state))
+        simulator.waiting_since = time.monotonic() - RESEND / 2
+        simulator.on_unanswered()
+        assert sent == []
+        simulator.waiting_since -= 2 * RESEND
+        simulator.on_unanswered()
+        assert sent == [simulator.state]
 
 
 def test_the_simulator_refuses_commands_that_no_car_can_follow() -> None:

@@ -36,6 +36,7 @@ from ampc_msgs_config.nodes.recorder_node import (
     EVERYTHING,
     LATCHED_TOPICS,
     TRANSFORMS,
+    Recorder,
     plain_qos,
     take_serialized,
 )
@@ -72,6 +73,9 @@ def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times(
     taken = arrivals.take_before(100)
     assert [f"{arrival.topic} {time_ns // TICK_NS}" for arrival, time_ns in taken] == expected
     assert not list(arrivals.take_before(100))
+    arrivals.waiting.append(Arrival(8, 100, "/odom", b""))
+    assert not list(arrivals.take_before(100))
+    assert len(list(arrivals.take_before(101))) == 1
 
 
 def test_messages_without_a_clock_are_kept_until_the_end() -> None:
@@ -126,6 +130,24 @@ def test_plain_qos_is_what_rosbag2_writes() -> None:
         LivelinessPolicy: QosLiveliness,
     }.items():
         assert all(plain(each).name == each.name for each in policy)
+
+
+@pytest.mark.parametrize(("after_ns", "prolongs"), [(-1, True), (0, False), (1, False)])
+def test_only_messages_from_before_the_end_prolong_the_recording(
+    after_ns: int, prolongs: bool, tmp_path: Path
+) -> None:
+    with ros_context(output=tmp_path / "bag") as executor:
+        recorder = Recorder()
+        add(executor, recorder)
+        recorder.end_ns, recorder.last_arrival = 1000, 0.0
+        info = {
+            "source_timestamp": recorder.end_ns + after_ns,
+            "received_timestamp": recorder.end_ns + 2,
+            "publication_sequence_number": 1,
+        }
+        recorder.on_message(full(ros.ODOM), serialize_message(sample(ros.ODOM, TICK_NS)), info)
+        assert len(recorder.arrivals.waiting) == 1
+        assert (recorder.last_arrival > 0.0) is prolongs
 
 
 @contextmanager

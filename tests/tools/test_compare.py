@@ -303,23 +303,26 @@ def test_numbers_have_three_digits(value: float, shown: str) -> None:
     assert three_digits(value) == shown
 
 
-@pytest.mark.parametrize(
-    ("body", "text"),
-    [("raise RuntimeError('boom')", "boom"), ("return float('nan')", "not finite"), ("pass", "")],
-)
 def test_controller_that_fails_ends_its_drive_with_the_reason(
-    body: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    bodies = {
+        "Raising": ("raise RuntimeError('boom')", "boom"),
+        "NotFinite": ("return float('nan')", "not finite"),
+        "Silent": ("pass", ""),
+    }
     file = tmp_path / "mine.py"
     lines = [
-        "class Mine:",
-        "    period = 0.1",
-        "    def step(self, state, path):",
-        f"        {body}",
+        f"class {name}:\n    period = 0.1\n    def step(self, state, path):\n        {body}\n"
+        for name, (body, _) in bodies.items()
     ]
-    file.write_text("\n".join(lines) + "\n")
-    words = ["--controllers", "pure_pursuit", f"{file}:Mine", "--scenarios", "sc1"]
-    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    file.write_text("\n".join(lines))
+    words = ("--controllers", "pure_pursuit", *(f"{file}:{name}" for name in bodies))
+    content = compare(tmp_path / "out", *words, "--scenarios", "sc1")
     output = capsys.readouterr().out
-    assert "gave up" in output or "refused" in output
-    assert text in output
+    cells = {cell["controller"]: cell for cell in content["cells"]}
+    assert cells.pop("pure_pursuit")["fate"] == "driven"
+    for name, (_, text) in bodies.items():
+        assert cells[name]["fate"] in ("gave up", "refused")
+        assert text in cells[name]["reason"]
+        assert text in output

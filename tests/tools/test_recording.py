@@ -148,6 +148,13 @@ def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+def test_a_folder_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "bag"
+    with pytest.raises(ValueError, match=f"^{re.escape(str(folder))}: cannot record there: Not a"):
+        Recording(folder)
+
+
 def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
     moments = {tmp_path / str(moment): moment for moment in (0.3, 0.71, 1.13, 1.9)}
     writers = {bag: subprocess.Popen([sys.executable, "-c", WRITER, bag]) for bag in moments}

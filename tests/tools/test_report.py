@@ -46,6 +46,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_bag(tmp_path_factory.mktemp("whole") / "bag", minutes=0.2, start=590.0)
 
 
+@pytest.fixture(scope="module")
+def whole_drive(whole: Path) -> JudgedDrive:
+    """Judge that bag."""
+    return judged(whole)
+
+
 def judged(bag: Path, namespace: str | None = None, **options: Any) -> JudgedDrive:
     return judge_bag(bag, "drive", namespace, **options)
 
@@ -59,8 +65,8 @@ def foreign(ticks: int = 30, topics: Messages | None = None) -> Messages:
     return messages | (topics or {})
 
 
-def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> None:
-    drive = judged(whole)
+def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole_drive: JudgedDrive) -> None:
+    drive = whole_drive
     found = drive.metrics
     assert found["ticks"] == 120
     assert found["missed_ticks"] == 0
@@ -75,8 +81,8 @@ def test_numbers_of_a_bag_with_ticks_are_those_it_was_made_of(whole: Path) -> No
     assert drive.notes == []
 
 
-def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole: Path) -> None:
-    drive = judged(whole)
+def test_errors_are_worked_out_here_for_the_centre_of_gravity(whole_drive: JudgedDrive) -> None:
+    drive = whole_drive
     radius = np.hypot(drive.states[:, 0], drive.states[:, 1] - 800.0)
     swing = 800.0 - np.hypot(radius, drive.context.to_cg)  # 1.5 m ahead on the tangent
     np.testing.assert_allclose(drive.errors[:, 0], swing, atol=1e-3)
@@ -237,8 +243,8 @@ def test_vehicle_of_a_bag_that_does_not_tell_may_be_named(tmp_path: Path) -> Non
     assert np.ptp(outline[:, 1]) == pytest.approx(vehicle.size.width)
 
 
-def test_the_bound_of_the_angle_is_that_of_the_controller(whole: Path) -> None:
-    context, speeds = judged(whole).context, [0.0, 0.5, 5.0, 10.0, 30.0]
+def test_the_bound_of_the_angle_is_that_of_the_controller(whole_drive: JudgedDrive) -> None:
+    context, speeds = whole_drive.context, [0.0, 0.5, 5.0, 10.0, 30.0]
     assert context.settings is not None
     assert context.chassis is not None
     bound = context.angle_bound(np.array(speeds))
@@ -251,12 +257,14 @@ def test_the_bound_of_the_angle_is_that_of_the_controller(whole: Path) -> None:
     assert bound.tolist() == [angle_bound(row, v, limits.u_max, most) for v in speeds]
 
 
-def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(whole: Path) -> None:
+def test_the_guard_s_bound_is_its_angle_or_that_of_its_lateral_acceleration(
+    whole_drive: JudgedDrive,
+) -> None:
     row = {"max_rate": (1.0, 1.0), "lateral_jerk": (9.0, 9.0), "measured_step": (1.0, 1.0)}
     limits = GuardLimits(
         speed=(0.0, 20.0), max_angle=(0.6, 0.2), lateral_acceleration=(3.0, 3.0), **row
     )
-    known = judged(whole).context._replace(guard=limits)
+    known = whole_drive.context._replace(guard=limits)
     chassis = known.chassis
     assert chassis is not None
     bound = known.guard_bound(np.array([1.0, 20.0]))
@@ -289,8 +297,10 @@ def test_thresholds_decide_the_exit_code(
     code: int,
     told: str,
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(page, "PANELS", PANELS[:1])
     limits = thresholds(tmp_path, text)
     assert main([str(whole), "--output", str(tmp_path), "--thresholds", limits]) == code
     assert told in capsys.readouterr().out
@@ -342,9 +352,11 @@ def test_names_from_outside_are_text_never_markup(tmp_path: Path) -> None:
     assert "&lt;b&gt;&amp;amp;" in text
 
 
-def test_bags_side_by_side_keep_their_colours_in_all_plots(whole: Path, tmp_path: Path) -> None:
+def test_bags_side_by_side_keep_their_colours_in_all_plots(
+    whole_drive: JudgedDrive, tmp_path: Path
+) -> None:
     other = write_bag(tmp_path / "bag", {"": drive_messages(CIRCLE)})
-    drives = [judged(whole)._replace(name="a"), judged(other)._replace(name="b")]
+    drives = [whole_drive._replace(name="a"), judged(other)._replace(name="b")]
     colours: dict[str, set[str]] = {"a": set(), "b": set()}
     for panel in PANELS:
         for line in draw_panel(panel, drives, 500).data:
@@ -395,17 +407,19 @@ def test_a_panel_of_a_user_is_drawn_on_the_page(
         yield Series("yaw rate", drive.record.time, drive.record.yaw_rate)
 
     panel = Panel("yaw_rate", "Yaw rate", "As measured.", (Axis("rate [rad/s]", yaw_rate),))
-    monkeypatch.setattr(page, "PANELS", [*PANELS, panel])
-    monkeypatch.setattr(export, "PANELS", [*PANELS, panel])
+    monkeypatch.setattr(page, "PANELS", [PANELS[0], panel])
+    monkeypatch.setattr(export, "PANELS", [PANELS[0], panel])
     assert main([str(whole), "--output", str(tmp_path), "--format", "svg"]) == 0
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert 'id="plot-yaw_rate" role="figure" aria-label="Yaw rate over time. yaw rate from' in text
     assert (tmp_path / "report_yaw_rate.svg").exists()
 
 
-def test_exported_time_series_are_those_of_the_drive(whole: Path, tmp_path: Path) -> None:
+def test_exported_time_series_are_those_of_the_drive(
+    whole: Path, whole_drive: JudgedDrive, tmp_path: Path
+) -> None:
     assert main([str(whole), "--output", str(tmp_path / "my.html"), "--format", "csv"]) == 0
-    drive = judged(whole)
+    drive = whole_drive
     with (tmp_path / "my.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 120

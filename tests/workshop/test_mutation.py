@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.left_processes import processes_with
 from tests.workshop.proofs import mutation
-from tests.workshop.proofs.mutant_trees import Baseline, Project, Stage, Worker
+from tests.workshop.proofs.mutant_trees import Baseline, Project, Stage, Tree, Worker
 from tests.workshop.proofs.mutants import Mutant, mutants_of
 from tests.workshop.proofs.mutation import Case, all_cases, count, document, draw, survivors
 
@@ -177,6 +178,28 @@ def test_tests_that_fail_without_a_mutation_are_an_error(tiny: Project, tmp_path
     (baseline.tree.folder / "tests/test_user.py").write_text("def test(): assert False\n")
     with pytest.raises(RuntimeError, match=r"test_user\.py fails without a mutation"):
         baseline.time(Stage(("tests/test_user.py",), compiled=True))
+
+
+LEAVING = """
+import subprocess, sys
+
+def test_that_leaves_a_process():
+    sleeper = [sys.executable, "-c", "import time; time.sleep(600.0)"]
+    starter = f"import subprocess; print(subprocess.Popen({sleeper}, start_new_session=True).pid)"
+    subprocess.run([sys.executable, "-c", starter], stdout=open("left", "w"))
+"""
+
+
+@pytest.mark.parametrize("end", ["pass", "assert False", "while True: pass"])
+def test_processes_that_a_test_leaves_are_killed_however_it_ends(
+    end: str, tiny: Project, tmp_path: Path
+) -> None:
+    tree = Tree(tiny, tmp_path / "tree")
+    (tree.folder / "tests/test_user.py").write_text(f"{LEAVING}    {end}\n", encoding="utf-8")
+    code, _ = tree.run(Stage(("tests/test_user.py",), compiled=True), limit=2)
+    assert (code == 0) is (end == "pass")
+    left = int((tree.folder / "left").read_text(encoding="utf-8"))
+    assert left not in processes_with("PATH")
 
 
 def case(package: str, line: int, outcome: str = "") -> Case:

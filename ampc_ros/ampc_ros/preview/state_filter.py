@@ -131,7 +131,7 @@ def prediction_covariance(A: Array, Q: Array, R: Array) -> Array:
 def filter_share(numbers: Array, noise_level: float) -> float:
     """Return the share of the filter's gains, at most 1, at a level of noise."""
     share = (noise_level - LEAST_LEVEL) / (FULL_LEVEL - LEAST_LEVEL)
-    return min(max(share, numbers[LEAST_SHARE]), 1.0)
+    return float(min(max(share, numbers[LEAST_SHARE]), 1.0))
 
 
 @in_place

@@ -54,9 +54,10 @@ INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, NOISE_LEVEL, BEFORE = 0, 1, 3,
 
 DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 8, 13, 17, 18
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
-the last tick, estimated acceleration, whether a state is predicted, level of noise, the command before the oldest
-one in the delay, disturbance (5,), predicted state (5,), whose last number is the road-wheel angle,
-and the commands in the delay, the newest last (n + 1,)."""
+the last tick, estimated acceleration, whether a state is predicted, level of noise (the mean of
+what `correct` returns), the command before the oldest one in the delay, disturbance (5,), predicted
+state (5,), whose last number is the road-wheel angle, and the commands in the delay, the newest
+last (n + 1,)."""
 
 
 class PathPosition(NamedTuple):

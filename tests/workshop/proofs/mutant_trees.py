@@ -9,12 +9,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from functools import cached_property
+from itertools import count
 from pathlib import Path
+from tempfile import TemporaryFile
 from threading import Lock
 from typing import NamedTuple
 
+from tests.left_processes import kill_processes_with
 from tests.workshop.proofs.mutants import Mutant
 
 MOST_FILES = 6
@@ -41,15 +43,15 @@ sys.exit(code)
 """
 """Runs pytest with a limit of its processor time, which no other process influences."""
 OPTIONS = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=0")
-RUNNING: set[int] = set()
-"""Process groups of the tests that run now."""
+RUNNING: set[str] = set()
+"""Variables of the environment that identify the processes of the tests that run now."""
+numbers = count()
 
 
 def stop_all() -> None:
-    """Kill the tests that run now."""
-    for group in list(RUNNING):
-        with suppress(ProcessLookupError):
-            os.killpg(group, signal.SIGKILL)
+    """Kill the tests that run now, with all processes that they have started."""
+    for mark in list(RUNNING):
+        kill_processes_with(mark)
 
 
 class Stage(NamedTuple):
@@ -180,37 +182,39 @@ class Tree:
                 shutil.copy2(project.root / name, folder)
 
     def run(self, stage: Stage, limit: float) -> tuple[int, str]:
-        """Run tests; return the exit code and the output.
+        """Run tests; return the exit code and the output. No process that they start is left.
 
         Raises:
             subprocess.TimeoutExpired: The tests wait far longer than they compute.
         """
         paths = [self.folder, *(self.folder / each for each in self.project.packages)]
+        mark = f"AMPC_MUTANT_{os.getpid()}_{next(numbers)}"
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(map(str, paths)),
             "PYTHONDONTWRITEBYTECODE": "1",
             "NUMBA_CACHE_DIR": str(self.cache),
             "NUMBA_DISABLE_JIT": str(int(not stage.compiled)),
+            mark: "1",
         }
         command = [sys.executable, "-c", RUNNER, str(round(limit)), *OPTIONS, *stage.files]
-        process = subprocess.Popen(
-            command,
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        RUNNING.add(process.pid)
-        try:
-            output, _ = process.communicate(timeout=10 * limit + 300)
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.communicate()
-            RUNNING.discard(process.pid)
-        return process.returncode, output
+        with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+            RUNNING.add(mark)
+            process = subprocess.Popen(
+                command,
+                cwd=self.folder,
+                env=environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                code = process.wait(timeout=10 * limit + 300)
+            finally:
+                kill_processes_with(mark)
+                process.wait()
+                RUNNING.discard(mark)
+            output.seek(0)
+            return code, output.read()
 
 
 class Baseline:
