@@ -109,7 +109,7 @@ YAW_RATES: dict[str, Callable[[float], float]] = {
     "0.3 rad/s too large": lambda r: r + 0.3,
     "0.3 rad/s too small": lambda r: r - 0.3,
 }
-POINTS = ("front bumper", "centre of gravity", "1 m behind the rear axle")
+POINTS = ("at the front bumper", "at the centre of gravity", "1 m behind the rear axle")
 POINT_ROADS: tuple[tuple[str, float | None], ...] = (
     ("circle", 5.0),
     ("circle", 9.0),
@@ -183,7 +183,7 @@ def limits() -> dict[Target, float]:
     for defect in YAW_RATES:
         rows[f"yaw rate {defect}"] = {MAX: 0.3}
     for point in POINTS:
-        rows[f"odometry at the {point}"] = {WARNED_5: REPORTED, WARNED_10: REPORTED}
+        rows[f"odometry {point}"] = {WARNED_5: REPORTED, WARNED_10: REPORTED}
     rows["correct odometry, shipped scenarios"] = {FALSE: 0.0}
     return targets_of(rows)
 
@@ -263,25 +263,28 @@ def noise_trial(car: str) -> StateTrial:
     return StateTrial("sc1_falcone", car, NOISE_SPEED)
 
 
+def with_seeds(trial: StateTrial) -> list[StateTrial]:
+    """Return a trial without noise, and with each seed."""
+    return [trial, *(trial._replace(seed=seed) for seed in SEEDS)]
+
+
 def measure_noise(car: str) -> list[Observation]:
     """Drive with measurement noise, with each seed and without."""
     found, name = [], noise_name(car)
-    for seed in (*SEEDS, None):
-        trial = noise_trial(car)._replace(seed=seed)
+    for trial in with_seeds(noise_trial(car)):
         driven = drive(trial)
         values = {MAX: driven.max, ACTIVITY: driven.activity}
-        found += observe(without(name) if seed is None else name, trial, values)
+        found += observe(without(name) if trial.seed is None else name, trial, values)
     return found
 
 
 def measure_motorway(car: str) -> list[Observation]:
     """Change the lane at high speed, with each seed and without noise."""
     found, name = [], motorway_name(car)
-    for seed in (*SEEDS, None):
-        trial = noise_trial(car)._replace(road=MOTORWAY, speed=None, seed=seed)
+    for trial in with_seeds(noise_trial(car)._replace(road=MOTORWAY, speed=None)):
         driven = drive(trial)
         values = {MAX: driven.max, ACCELERATION: float(np.abs(driven.acceleration).max())}
-        found += observe(without(name) if seed is None else name, trial, values)
+        found += observe(without(name) if trial.seed is None else name, trial, values)
     return found
 
 
@@ -307,13 +310,13 @@ def measure_point(point: str) -> list[Observation]:
         drive_at_point(point, StateTrial(road, car, speed, seed=seed))
         for (road, speed), car, seed in product(POINT_ROADS, OWN, (None, SEEDS[0]))
     ]
-    values, counts = {}, {}
+    values, counts = dict[str, float](), dict[float, int]()
     for quantity, least in ((WARNED_5, 5.0), (WARNED_10, 10.0)):
         long = [each for each in drives if each.turning[-1] >= least]
         counts[least] = len(long)
         values[quantity] = 100 * sum(each.is_warned(least) for each in long) / len(long)
     place = ", ".join(f"{n} drives with {t:g} s of turning" for t, n in counts.items())
-    return observe(f"odometry at the {point}", place, values)
+    return observe(f"odometry {point}", place, values)
 
 
 def drive_at_point(point: str, trial: StateTrial) -> StateDrive:

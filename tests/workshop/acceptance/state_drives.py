@@ -262,5 +262,5 @@ def drive(
             target = max(min(target, true.v_x) - BRAKING * step, 0.0)
             wanted = min(wanted, target)
         car.advance(supervisor.steering, wanted, step_ns)
-    columns = np.array(rows).T
-    return StateDrive(step, *columns, warnings=tuple(warnings))
+    errors, steering, acceleration, turns = np.array(rows).T
+    return StateDrive(step, errors, steering, acceleration, turns, tuple(warnings))
