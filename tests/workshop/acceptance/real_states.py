@@ -207,8 +207,12 @@ def known_trials() -> Iterator[tuple[str, StateTrial]]:
             yield known_name(delay), independent._replace(speed=speed, delay=delay)
         for car, lag in product(OWN, KNOWN_LAGS):
             own = StateTrial("sc1", car, delay=delay, lag=lag)
-            for road, speed in (("sc1", 9.0), ("sc2", None), ("sc1_falcone", 15.0)):
-                yield known_name(delay), own._replace(road=road, speed=speed)
+            for trial in (
+                own._replace(speed=9.0),
+                own._replace(road="sc2"),
+                own._replace(road="sc1_falcone", speed=15.0),
+            ):
+                yield known_name(delay), trial
     for v, delay in ((11.0, 0.0), (13.0, 0.0), (11.0, 0.1)):
         yield KNOWN_FRICTION, independent._replace(speed=v, delay=delay, friction=0.5)
     for car, delay in product(OWN, (0.0, 0.1)):

@@ -118,6 +118,7 @@ def draw(before: Curves, now: Curves, file: Path) -> None:
             ax.set_title(panel.title, loc="left", fontweight="bold")
             ax.set_xlabel(panel.label)
             ax.set_yscale("log")
+            ax.yaxis.set_major_formatter("{x:g}")
             ax.set_ylim(SMALLEST, 1.5 * LOST)
             ax.axhline(LOST, color="#777777", linewidth=0.8)
             ax.grid(alpha=0.25)
