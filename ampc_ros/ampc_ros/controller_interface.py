@@ -61,5 +61,8 @@ class Controller:
     def hold_estimates(self) -> None:
         """Keep all estimates in the next step, whose state is predicted; by default none exist."""
 
+    def use_lag(self, lag: float) -> None:
+        """Use another lag of the steering in the model [s]; by default there is none."""
+
     def inherit(self, other: "Controller") -> None:
         """Use the estimates of a controller of the same formulation; by default there are none."""

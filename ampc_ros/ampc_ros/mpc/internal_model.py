@@ -59,6 +59,8 @@ class InternalModel(NamedTuple):
     """Speed of a model that does not adapt; 0: the model follows the measured speed [m/s]."""
 
 
+ACTUATOR_LAG = 17
+"""Position of the lag of the steering in the row of an internal model."""
 ROW_SIZE = 20
 """Numbers in the row of an internal model: see `unpack_internal_model`."""
 

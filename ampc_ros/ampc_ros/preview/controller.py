@@ -9,7 +9,7 @@ from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import InternalModel, pack_internal_model, unpack_internal_model
+from ampc_ros.mpc.internal_model import ACTUATOR_LAG, InternalModel, pack_internal_model, unpack_internal_model
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.state_filter import filter_numbers, noise_of
@@ -128,6 +128,12 @@ class PreviewMpc(Controller):
     def hold_estimates(self) -> None:
         """Use the next state, which is predicted, without filter, and keep the disturbance."""
         self.memory[EXPECTS] = 0.0
+
+    def use_lag(self, lag: float) -> None:
+        """Use another lag of the steering in the model [s]."""
+        if lag != self.model.actuator.lag:
+            self.model_row[ACTUATOR_LAG] = lag
+            self.model = unpack_internal_model(self.model_row)
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

@@ -113,7 +113,7 @@ class StatePredictor:
         self._to_cg, self._lag = config.base_link_to_cg, config.steering.time_constant
         self._delay_ns = round(config.steering.delay * NANOSECONDS)
         friction = config.settings.friction
-        self._model = CarModel(astuple(config.chassis), friction, self._lag)
+        self._vehicle, self._friction = astuple(config.chassis), friction
         self.reset(steering)
 
     def reset(self, steering: float) -> None:
@@ -124,6 +124,15 @@ class StatePredictor:
     def inherit(self, other: "StatePredictor") -> None:
         """Continue with the commands of another predictor."""
         self._sent, self._before = other._sent, other._before
+
+    @property
+    def lag(self) -> float:
+        """Time constant of the steering [s]."""
+        return self._lag
+
+    @lag.setter
+    def lag(self, lag: float) -> None:
+        self._lag = lag
 
     def store(self, steering: float, now_ns: int) -> None:
         """Store the command [rad] that is sent now [ns]."""
@@ -150,10 +159,11 @@ class StatePredictor:
         if end_ns <= state.stamp_ns:
             return state
         begin_ns, car = state.stamp_ns, at_distance(state, self._to_cg)
+        model = CarModel(self._vehicle, self._friction, self._lag)
         motion = Motion(*car[1:], self._wheel(begin_ns))
         for finish_ns in self._changes(begin_ns, end_ns):
             command, elapsed = self._command(begin_ns), (finish_ns - begin_ns) / NANOSECONDS
-            motion = Motion(*advance_car(self._model, motion, command, elapsed))
+            motion = Motion(*advance_car(model, motion, command, elapsed))
             begin_ns = finish_ns
         car = VehicleState(end_ns, *motion[:-1])._replace(yaw=wrap_angle(motion.yaw))
         return at_distance(car, -self._to_cg)

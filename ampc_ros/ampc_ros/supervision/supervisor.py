@@ -35,6 +35,7 @@ from ampc_ros.supervision.fallback import (
     FallbackChain,
 )
 from ampc_ros.supervision.guard import Guard
+from ampc_ros.supervision.lag_estimate import LagEstimate
 from ampc_ros.supervision.monitors import (
     DeviationMonitor,
     Motion,
@@ -76,6 +77,7 @@ class Supervisor:
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         self._answered_ns = -1
         self._predictor = StatePredictor(config, 0.0)
+        self._lag = LagEstimate()
         self._install(config, build_controller(config, source), 0.0)
 
     def reconfigure(self, config: Configuration, source: object = "gain table") -> None:
@@ -101,6 +103,7 @@ class Supervisor:
         self._chain.restart(steering)
         before, self._predictor = self._predictor, StatePredictor(config, steering)
         self._predictor.inherit(before)
+        self._use_lag()
 
     @property
     def config(self) -> Configuration:
@@ -423,10 +426,19 @@ class Supervisor:
             self._yaw_rate,
         )
 
+    def _use_lag(self) -> None:
+        """Use the estimated lag of the steering where none is configured."""
+        if not self.config.steering.is_lag_configured:
+            self._predictor.lag = self._lag.lag
+            self.controller.use_lag(self._lag.lag)
+
     def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
         """Return the state at the time of the tick; the estimates wait for a new measurement."""
         if state.stamp_ns == self._answered_ns:
             self.controller.hold_estimates()
+        elif not self.config.steering.is_lag_configured:
+            self._lag.observe(state, self._predictor)
+            self._use_lag()
         self._answered_ns = state.stamp_ns
         longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
         return self._predictor.predict(state, min(now_ns, state.stamp_ns + longest_ns))

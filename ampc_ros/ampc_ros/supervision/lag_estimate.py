@@ -1,0 +1,77 @@
+"""Estimation of an unknown lag of the steering from the yaw rate, while the car is driven."""
+
+from ampc_msgs_config.parameters import ASSUMED_LAG
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_ros.supervision.state_prediction import StatePredictor
+
+SHORTEST, LONGEST = 0.09, 0.5
+"""Time over which the yaw rate is predicted: long enough for a signal above the noise [s]."""
+LARGEST_LAG = 0.3
+"""Largest estimate [s]."""
+DIFFERENCE = 0.02
+"""Difference of two lags whose predictions are compared [s]."""
+START_DEVIATION = 0.06
+"""Standard deviation of the assumed lag [s]."""
+WALK = 0.004
+"""Random walk of the lag [s / s^0.5]."""
+DEVIATION, DEVIATION_SHARE = 0.03, 0.1
+"""Standard deviation of a predicted yaw rate: noise [rad/s], and share of the yaw rate, for model
+errors."""
+SLOWEST = 3.0
+"""Speed from which the lag is estimated [m/s]."""
+MOST_ACCELERATION = 4.0
+"""Lateral acceleration up to which the tyres are linear enough [m/s^2]."""
+MOST_RESIDUAL = 0.3
+"""Larger residuals of the yaw rate are no effect of the lag [rad/s]."""
+
+
+class LagEstimate:
+    """Recursive least squares for one parameter: which lag predicts the measured yaw rate.
+
+    Ljung, "System Identification", 2nd edition, Section 11.4: prediction-error method, where the
+    gradient is the difference of two predictions.
+    """
+
+    def __init__(self) -> None:
+        """Start with the assumed lag."""
+        self.lag, self.variance = ASSUMED_LAG, START_DEVIATION**2
+        self.anchor: VehicleState | None = None
+
+    def observe(self, state: VehicleState, predictor: StatePredictor) -> float:
+        """Return the lag after another measured state [s].
+
+        Args:
+            state: Measured state at `base_link`.
+            predictor: Model with the commands sent; its lag is not changed.
+        """
+        if self.anchor is None:
+            self.anchor = state
+            return self.lag
+        elapsed = (state.stamp_ns - self.anchor.stamp_ns) / NANOSECONDS
+        if 0.0 <= elapsed < SHORTEST:
+            return self.lag
+        anchor, self.anchor = self.anchor, state
+        fast = state.v_x * abs(state.yaw_rate) > MOST_ACCELERATION
+        if not 0.0 < elapsed <= LONGEST or state.v_x < SLOWEST or fast:
+            return self.lag
+        self._update(anchor, state, predictor, elapsed)
+        return self.lag
+
+    def _update(
+        self, anchor: VehicleState, state: VehicleState, predictor: StatePredictor, elapsed: float
+    ) -> None:
+        """Correct the estimate by the residual of the prediction from an earlier state."""
+        end_ns, lag = state.stamp_ns, predictor.lag
+        predictor.lag = self.lag
+        expected = predictor.predict(anchor, end_ns).yaw_rate
+        predictor.lag = self.lag + DIFFERENCE
+        gradient = (predictor.predict(anchor, end_ns).yaw_rate - expected) / DIFFERENCE
+        predictor.lag = lag
+        residual = state.yaw_rate - expected
+        if abs(residual) > MOST_RESIDUAL:
+            return
+        noise = DEVIATION**2 + (DEVIATION_SHARE * state.yaw_rate) ** 2
+        self.variance = min(self.variance + WALK**2 * elapsed, START_DEVIATION**2)
+        gain = self.variance * gradient / (gradient**2 * self.variance + noise)
+        self.lag = min(max(self.lag + gain * residual, 0.0), LARGEST_LAG)
+        self.variance *= 1.0 - gain * gradient
