@@ -61,8 +61,13 @@ class Controller:
     def hold_estimates(self) -> None:
         """Keep all estimates in the next step, whose state is predicted; by default none exist."""
 
-    def use_lag(self, lag: float) -> None:
-        """Use another lag of the steering in the model [s]; by default there is none."""
+    def use_lag(self, lag: float, caution: float) -> None:
+        """Use an estimated lag of the steering in the model; by default there is none.
+
+        Args:
+            lag: Time constant [s].
+            caution: Share of the state filter that is used also without noise, 0 to 1.
+        """
 
     def inherit(self, other: "Controller") -> None:
         """Use the estimates of a controller of the same formulation; by default there are none."""

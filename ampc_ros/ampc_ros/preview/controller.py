@@ -9,10 +9,16 @@ from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
-from ampc_ros.mpc.internal_model import ACTUATOR_LAG, InternalModel, pack_internal_model, unpack_internal_model
+from ampc_ros.mpc.internal_model import (
+    ACTUATOR_LAG,
+    ROW_SIZE,
+    InternalModel,
+    pack_internal_model,
+    unpack_internal_model,
+)
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.state_filter import filter_numbers, noise_of
+from ampc_ros.preview.state_filter import LEAST_SHARE, filter_numbers, noise_of
 from ampc_ros.preview.tick import (
     ACCELERATION,
     BEFORE,
@@ -129,11 +135,11 @@ class PreviewMpc(Controller):
         """Use the next state, which is predicted, without filter, and keep the disturbance."""
         self.memory[EXPECTS] = 0.0
 
-    def use_lag(self, lag: float) -> None:
-        """Use another lag of the steering in the model [s]."""
-        if lag != self.model.actuator.lag:
-            self.model_row[ACTUATOR_LAG] = lag
-            self.model = unpack_internal_model(self.model_row)
+    def use_lag(self, lag: float, caution: float) -> None:
+        """Use an estimated lag of the steering, and a least share of the filter."""
+        self.model_row[ACTUATOR_LAG] = lag
+        self.model_row[ROW_SIZE + LEAST_SHARE] = caution
+        self.model = unpack_internal_model(self.model_row)
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

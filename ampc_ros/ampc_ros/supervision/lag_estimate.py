@@ -8,6 +8,8 @@ SHORTEST, LONGEST = 0.09, 0.5
 """Time over which the yaw rate is predicted: long enough for a signal above the noise [s]."""
 LARGEST_LAG = 0.3
 """Largest estimate [s]."""
+SHORT_LAG, LONG_LAG = 0.1, 0.2
+"""Lags from which the filter acts without noise, and acts fully [s]."""
 DIFFERENCE = 0.02
 """Difference of two lags whose predictions are compared [s]."""
 START_DEVIATION = 0.06
@@ -36,6 +38,16 @@ class LagEstimate:
         """Start with the assumed lag."""
         self.lag, self.variance = ASSUMED_LAG, START_DEVIATION**2
         self.anchor: VehicleState | None = None
+
+    @property
+    def caution(self) -> float:
+        """Share of the filter's gains that is used also without noise, 0 to 1.
+
+        An uncertain lag, or a long one, which is rather a delay, needs the margin of the filter.
+        """
+        uncertain = self.variance / START_DEVIATION**2
+        long = (self.lag - SHORT_LAG) / (LONG_LAG - SHORT_LAG)
+        return min(max(uncertain, long), 1.0)
 
     def observe(self, state: VehicleState, predictor: StatePredictor) -> float:
         """Return the lag after another measured state [s].

@@ -430,7 +430,7 @@ class Supervisor:
         """Use the estimated lag of the steering where none is configured."""
         if not self.config.steering.is_lag_configured:
             self._predictor.lag = self._lag.lag
-            self.controller.use_lag(self._lag.lag)
+            self.controller.use_lag(self._lag.lag, self._lag.caution)
 
     def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
         """Return the state at the time of the tick; the estimates wait for a new measurement."""
