@@ -18,11 +18,10 @@ from tests.workshop.acceptance.real_states import (
     LATE,
     SECTION,
     SEEDS,
-    WARNED_10,
+    drive_at_point,
     known_trials,
     measure_false,
     measure_late,
-    measure_point,
     measure_unknown,
     measure_yaw_rate,
     stored_errors,
@@ -65,7 +64,7 @@ def test_the_servo_of_the_compiled_plant_is_that_of_the_plant() -> None:
     assert fast.measure(0) == pytest.approx(slow.measure(0), abs=1e-9)
     other = FastSimulation(road, 2, disturbance._replace(servo_lag=0.1))
     other.advance(0.02, 9.0, 300_000_000)
-    assert abs(other.measure(0).y - fast.measure(0).y) > 1e-3
+    assert other.measure(0).yaw != pytest.approx(fast.measure(0).yaw, abs=1e-4)
 
 
 @pytest.mark.parametrize("road", ["sc1", "sc2"])
@@ -120,8 +119,9 @@ def test_the_measured_yaw_rate_is_distorted_and_the_true_one_is_not() -> None:
 
 
 def test_odometry_of_the_bumper_is_warned_about_and_correct_odometry_is_not() -> None:
-    bumper = {o.target.quantity: o.value for o in measure_point("at the front bumper")}
-    assert bumper[WARNED_10] > 50.0
+    driven = drive_at_point("at the front bumper", StateTrial("circle", "paper", 9.0))
+    assert driven.is_warned(10.0)
+    assert not driven.is_warned(2.0)
     correct = measure_false("circle")
     assert [(o.target.quantity, o.value) for o in correct] == [(FALSE, 0.0)] * 4
 
