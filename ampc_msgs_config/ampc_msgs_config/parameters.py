@@ -126,7 +126,8 @@ class ControllerSettings(Checked):
         float, number(0.0, 1.0, "", "Change of multipliers that ends Hildreth.")
     ] = 1.0e-7
     state_late: Annotated[
-        float, number(0.0, 10.0, "s", "Age of the state at which the last plan takes over.")
+        float,
+        number(0.0, 10.0, "s", "Age from which the model, or the last plan, continues a state."),
     ] = 0.2
     state_lost: Annotated[
         float, number(0.0, 10.0, "s", "Age of the state that requests a stop.")

@@ -73,6 +73,13 @@ class Configuration(NamedTuple):
         return min(self.settings.max_angle, self.steering.max_angle)
 
 
+LATER = {
+    "end_deceleration": math.inf,
+    "state_prediction": 0.0,
+    "position_noise": 0.0,
+    "heading_noise": 0.0,
+}
+"""Settings that later versions have added, with the values that switch their effect off."""
 PARTS: dict[str, type[Checked]] = {
     "chassis": ChassisParameters,
     "steering": SteeringParameters,
@@ -177,12 +184,12 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
         ValueError: Source, key, value and bound.
 
     Note:
-        A recording without `end_deceleration` is older than that monitor, and is repeated
-        without it. All other missing keys have their defaults.
+        A recording without one of the keys of LATER is older than what the key controls, and is
+        repeated without it. All other missing keys have their defaults.
     """
     content, number = read_document(text, where)
     if isinstance(settings := content.get("settings"), dict):
-        settings.setdefault("end_deceleration", math.inf)
+        content["settings"] = {**LATER, **settings}
     config = build(Configuration, content, where)
     try:
         check_controller_name(config.controller)

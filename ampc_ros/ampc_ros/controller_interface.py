@@ -61,10 +61,11 @@ class Controller:
     def hold_estimates(self) -> None:
         """Keep all estimates in the next step, whose state is predicted; by default none exist."""
 
-    def use_lag(self, lag: float, caution: float) -> None:
-        """Use an estimated lag of the steering in the model; by default there is none.
+    def use_steering(self, delay: float, lag: float, caution: float) -> None:
+        """Use an estimated steering actuator in the model; by default there is none.
 
         Args:
+            delay: Pure delay [s].
             lag: Time constant [s].
             caution: Share of the state filter that is used also without noise, 0 to 1.
         """

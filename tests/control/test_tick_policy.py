@@ -23,8 +23,9 @@ class Stub:
 
     period = 0.01
 
-    def __init__(self) -> None:
-        """Wait for the first state."""
+    def __init__(self, longest_ns: int = 0) -> None:
+        """Wait for the first state; `longest_ns` is the longest prediction."""
+        self.longest_ns = longest_ns
         self.newest_ns, self.has_path = -1, True
         self.ticks: list[tuple[int, int]] = []
         """Stamp of the state and time of each tick."""
@@ -44,6 +45,10 @@ class Stub:
         """Whether the state is older than LATE_NS."""
         return self.newest_ns >= 0 and now_ns - self.newest_ns > LATE_NS
 
+    def can_predict(self, now_ns: int) -> bool:
+        """Whether the state can be predicted."""
+        return 0 < now_ns - self.newest_ns <= self.longest_ns
+
     def tick(self, now_ns: int) -> Any:
         """Record a tick."""
         self.ticks.append((self.newest_ns, now_ns))
@@ -61,9 +66,9 @@ def state(stamp_ns: int) -> VehicleState:
     return VehicleState(stamp_ns, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)
 
 
-def answered() -> tuple[Stub, TickPolicy]:
+def answered(longest_ns: int = 0) -> tuple[Stub, TickPolicy]:
     """Return a policy whose newest state, of time 0, has its command."""
-    stub = Stub()
+    stub = Stub(longest_ns)
     policy = policy_of(stub)
     policy.take_state(state(0), 0)
     policy.tick(0)
@@ -128,6 +133,50 @@ def test_a_late_state_is_answered_without_a_new_one() -> None:
     assert actions == [Action.WAIT, Action.WAIT, Action.TICK]
 
 
+@pytest.mark.parametrize("periods", [2, 3, 5])
+def test_between_slow_states_every_tick_is_answered_with_the_model(periods: int) -> None:
+    stub, policy = answered(10 * PERIOD_NS)
+    for tick in range(1, 10 * periods):
+        now_ns = tick * PERIOD_NS
+        if tick % periods == 0:
+            policy.take_state(state(now_ns), now_ns)
+            if policy.on_input() is Action.TICK:
+                policy.tick(now_ns)
+                continue
+        if policy.on_timer(now_ns, PERIOD_NS) is Action.TICK:
+            policy.tick(now_ns)
+    times = [now_ns // PERIOD_NS for _, now_ns in stub.ticks]
+    if periods == 2:  # each state is waited for
+        assert times == list(range(0, 20, 2))
+    else:  # the first one only
+        assert times == [0, *range(2, 10 * periods)]
+    assert all(now_ns - stamp_ns < periods * PERIOD_NS for stamp_ns, now_ns in stub.ticks)
+
+
+def test_a_prediction_that_is_too_long_waits_for_a_state() -> None:
+    stub, policy = answered(2 * PERIOD_NS)
+    assert policy.on_timer(PERIOD_NS, PERIOD_NS) is Action.WAIT
+    assert policy.on_timer(2 * PERIOD_NS, PERIOD_NS) is Action.TICK
+    policy.tick(2 * PERIOD_NS)
+    assert policy.on_timer(2 * PERIOD_NS + 1, PERIOD_NS - 1) is Action.WAIT
+    assert policy.missed == 2
+    assert stub.ticks == [(0, 0), (0, 2 * PERIOD_NS)]
+
+
+def test_after_one_lost_state_the_next_ones_are_waited_for_again() -> None:
+    _, policy = answered(10 * PERIOD_NS)
+    policy.on_timer(PERIOD_NS, PERIOD_NS)
+    assert policy.on_timer(2 * PERIOD_NS, PERIOD_NS) is Action.TICK
+    policy.tick(2 * PERIOD_NS)
+    for tick in (3, 4):
+        policy.take_state(state(tick * PERIOD_NS), tick * PERIOD_NS)
+        assert policy.on_timer(tick * PERIOD_NS, PERIOD_NS) is Action.TICK
+        policy.tick(tick * PERIOD_NS)
+    assert policy.on_timer(5 * PERIOD_NS, PERIOD_NS) is Action.WAIT
+    policy.take_state(state(5 * PERIOD_NS), 5 * PERIOD_NS + 1)
+    assert policy.on_input() is Action.TICK
+
+
 def test_a_restart_forgets_the_command_and_the_deferred_tick() -> None:
     _, policy = answered()
     policy.take_state(state(50), 50)
@@ -167,16 +216,22 @@ events = st.lists(
 
 
 @given(sequence=events, pauses=st.lists(st.integers(0, 2 * PERIOD_NS), min_size=60, max_size=60))
-@settings(max_examples=300, deadline=None, derandomize=True)
-def test_ticks_are_those_of_the_rules_of_the_node(sequence: list[str], pauses: list[int]) -> None:
-    stub, model = Stub(), Stub()
+@pytest.mark.parametrize("longest_ns", [0, 2 * PERIOD_NS, 20 * PERIOD_NS])
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_ticks_are_those_of_the_rules_of_the_node(
+    longest_ns: int, sequence: list[str], pauses: list[int]
+) -> None:
+    stub, model = Stub(longest_ns), Stub(longest_ns)
     policy = policy_of(stub)
     answered_ns, is_deferred, missed, now_ns = None, False, 0, 0
+    continued = {"this": False, "last": False}
 
     def step() -> None:
         nonlocal answered_ns, is_deferred
         if model.is_ready:
             is_deferred = False
+            if answered_ns != model.newest_ns:
+                continued.update(last=continued["this"], this=False)
             model.tick(now_ns)
             answered_ns = model.newest_ns
 
@@ -190,8 +245,15 @@ def test_ticks_are_those_of_the_rules_of_the_node(sequence: list[str], pauses: l
                 policy.tick(now_ns)
             if answered_ns != model.newest_ns or model.is_state_late(now_ns):
                 step()
+            elif is_deferred or any(continued.values()):
+                missed += 1
+                if model.can_predict(now_ns):
+                    continued["this"] = True
+                    step()
+                else:
+                    is_deferred = True
             else:
-                missed, is_deferred = missed + is_deferred, True
+                is_deferred = True
             missed += policy.left_out
             assert policy.missed >= missed_before
         else:
@@ -203,6 +265,7 @@ def test_ticks_are_those_of_the_rules_of_the_node(sequence: list[str], pauses: l
                 policy.tick(now_ns)
             if model.take_state(state(stamp_ns), now_ns):
                 answered_ns, is_deferred = None, False
+                continued.update(last=False, this=False)
             if is_deferred:
                 step()
         assert stub.ticks == model.ticks

@@ -211,3 +211,17 @@ def test_a_deactivation_that_fails_still_asks_for_a_stop_and_gives_no_more_comma
         active.drive()
         active.executor_of_all.spin_once(timeout_sec=0.02)
     assert len(active.commands) == known
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_steering_lag_that_is_not_configured_is_logged_once(
+    stated: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lines = shipped("vehicles")["ordinary"].read_text(encoding="utf-8").splitlines(keepends=True)
+    file = tmp_path / "mine.yaml"
+    kept = (line for line in lines if stated or not line.startswith("  lag: "))
+    file.write_text("".join(kept), encoding="utf-8")
+    with ros_context(controller="pure_pursuit", vehicle=file):
+        ControllerNode().destroy_node()
+    sentence = f"vehicle file {file}: steering.lag is not configured: 0.08 s is assumed"
+    assert capfd.readouterr().err.count(sentence) == (not stated)

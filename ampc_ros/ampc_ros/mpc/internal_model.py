@@ -59,8 +59,10 @@ class InternalModel(NamedTuple):
     """Speed of a model that does not adapt; 0: the model follows the measured speed [m/s]."""
 
 
-ACTUATOR_LAG = 17
-"""Position of the lag of the steering in the row of an internal model."""
+ACTUATOR = 15
+"""Position of the actuator's ticks, share and lag in the row of an internal model."""
+SHORT_LAG, LARGEST_LAG = 0.1, 0.3
+"""Bounds of an estimated lag: a larger one than the first is the first and a delay [s]."""
 ROW_SIZE = 20
 """Numbers in the row of an internal model: see `unpack_internal_model`."""
 
@@ -132,7 +134,12 @@ def limits_of(settings: ControllerSettings, steering: SteeringParameters | None 
 
 def actuator_of(steering: SteeringParameters, T: float) -> Actuator:
     """Return an actuator whose delay is split into whole ticks and a share of a tick of T [s]."""
-    ticks, share = divmod(steering.delay / T, 1.0)
+    return delayed(steering.delay, steering.time_constant, T)
+
+
+def delayed(delay: float, lag: float, T: float) -> Actuator:
+    """Return an actuator of a delay and a lag [s] for ticks of T [s]."""
+    ticks, share = divmod(delay / T, 1.0)
     if share > 1.0 - 1e-6:
         ticks, share = ticks + 1.0, 0.0
-    return Actuator(int(ticks), share if share > 1e-6 else 0.0, steering.time_constant)
+    return Actuator(int(ticks), share if share > 1e-6 else 0.0, lag)

@@ -13,7 +13,9 @@ from rclpy.service import Service
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
+from ampc_msgs_config.parameters import ASSUMED_LAG
 from ampc_ros.configuration import (
     Choices,
     Configuration,
@@ -166,6 +168,10 @@ class ConfiguredNode(ManagedNode):
         """
         choices = self.choices({})
         config, source = configuration(choices), gain_file(choices)
+        if not config.steering.is_lag_configured:
+            what = f"steering.lag is not configured: {ASSUMED_LAG:g} s is assumed"
+            file = find("vehicles", choices.vehicle)
+            self.get_logger().warning(f"vehicle file {file}: {what}")
         if hasattr(self, "supervisor"):
             self.supervisor.forget()
             self.supervisor.reconfigure(config, source)

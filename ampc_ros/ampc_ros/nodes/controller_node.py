@@ -283,7 +283,7 @@ class ControllerNode(ConfiguredNode):
         action = self.policy.on_timer(self.now_ns, self.timer.time_until_next_call())
         if self.policy.left_out and self.policy.record:
             self.trouble = f"the timer was late: {self.policy.left_out} ticks left out"
-        if action is Action.WAIT and self.policy.missed > missed + self.policy.left_out:
+        if self.policy.missed > missed + self.policy.left_out:
             self.trouble = "no new odom since the last tick"
         self.act(action)
 

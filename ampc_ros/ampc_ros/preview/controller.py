@@ -10,9 +10,12 @@ from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleS
 from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import (
-    ACTUATOR_LAG,
+    ACTUATOR,
+    LARGEST_LAG,
     ROW_SIZE,
+    SHORT_LAG,
     InternalModel,
+    delayed,
     pack_internal_model,
     unpack_internal_model,
 )
@@ -27,6 +30,7 @@ from ampc_ros.preview.tick import (
     EXPECTS,
     INDEX,
     LAST_SPEED,
+    NOISE_LEVEL,
     SENT,
     STATE_DELTA,
     call_preview_tick,
@@ -66,7 +70,8 @@ class PreviewMpc(Controller):
         self.model_row = np.append(row, numbers)
         self.period = settings.sample_time
         self.table = table.table
-        ticks = self.model.actuator.ticks
+        unknown = 0.0 if steering.is_lag_configured else LARGEST_LAG - SHORT_LAG
+        ticks = self.most_ticks = math.ceil((steering.delay + unknown) / self.period - 1e-6)
         self.horizon = max(gains.prediction_horizon for gains in table.nodes) + ticks
         sizes = [(gains.prediction_horizon + ticks, *gains[1:3]) for gains in table.nodes]
         self.scratch = make_scratch(max(scratch_numbers(*size) for size in sizes))
@@ -74,7 +79,7 @@ class PreviewMpc(Controller):
 
     def reset(self, steering: float = 0.0) -> None:
         """Discard the history: a constant angle in force [rad], no disturbance, no path."""
-        self.memory: Array = new_memory(self.model.actuator.ticks)
+        self.memory: Array = new_memory(self.most_ticks)
         self.memory[BEFORE] = self.memory[STATE_DELTA] = steering
         self.memory[SENT:] = steering
         self.path: Path | None = None
@@ -86,13 +91,13 @@ class PreviewMpc(Controller):
         return Estimates(self.memory, self.last_ns)
 
     def inherit(self, other: Controller) -> None:
-        """Take over disturbance (a number per tick) and acceleration of the same formulation."""
+        """Take over disturbance (a number per tick), acceleration and level of noise."""
         estimates = other.estimates if other.formulation == self.formulation else None
         if estimates is None:
             return
         ticks, memory = self.period / other.period, estimates.values
         self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
-        for each in (LAST_SPEED, ACCELERATION):
+        for each in (LAST_SPEED, ACCELERATION, NOISE_LEVEL):
             self.memory[each] = memory[each]
         self.last_ns = estimates.stamp_ns
 
@@ -132,12 +137,15 @@ class PreviewMpc(Controller):
             store_command(self.memory, steering)
 
     def hold_estimates(self) -> None:
-        """Use the next state, which is predicted, without filter, and keep the disturbance."""
-        self.memory[EXPECTS] = 0.0
+        """Use the next state, which is predicted, without filter, and keep all estimates.
 
-    def use_lag(self, lag: float, caution: float) -> None:
-        """Use an estimated lag of the steering, and a least share of the filter."""
-        self.model_row[ACTUATOR_LAG] = lag
+        Its speed is that of an earlier state: no measurement of the acceleration.
+        """
+        self.memory[EXPECTS], self.last_ns = 0.0, None
+
+    def use_steering(self, delay: float, lag: float, caution: float) -> None:
+        """Use an estimated delay and lag of the steering, and a least share of the filter."""
+        self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(delay, lag, self.period)
         self.model_row[ROW_SIZE + LEAST_SHARE] = caution
         self.model = unpack_internal_model(self.model_row)
 

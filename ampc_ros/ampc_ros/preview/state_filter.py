@@ -42,6 +42,9 @@ LEAST_LEVEL, FULL_LEVEL = 0.15, 0.75
 White noise of the configured level causes 1.2 to 2."""
 OUTLIER_LEVEL = 16.0
 """Squared innovation that is no noise but a jump: the measured state is used."""
+LASTING_LEVEL = 3.0
+"""Level of noise from which such an innovation is no jump but an error of the model: the
+disturbance is estimated as without filter."""
 
 
 class Noise(NamedTuple):
@@ -136,14 +139,14 @@ def filter_share(numbers: Array, noise_level: float) -> float:
 
 @in_place
 def correct(
-    numbers: Array, v_x: float, share: float, x: Array, expected: Array, disturbance: Array
+    numbers: Array, v_x: float, noise_level: float, x: Array, expected: Array, disturbance: Array
 ) -> float:
     """Replace a measured state by its estimate, and update the estimated disturbance.
 
     Args:
         numbers: `filter_numbers`.
         v_x: Speed [m/s].
-        share: Share of the filter's gains; 0: the measured state is not changed.
+        noise_level: Level of noise, see `filter_share`; without noise the measured state is kept.
         x: Measured state (>= 4,), changed in place.
         expected: State that the model predicts without disturbance (>= 4,); changed.
         disturbance: Estimated change of the state in a tick (>= 4,), changed in place.
@@ -152,6 +155,7 @@ def correct(
         Squared innovation of the pose relative to the configured noise.
     """
     k, size, level = 0, 2 * MEASURED * MEASURED, 0.0
+    share = filter_share(numbers, noise_level)
     while k < len(SPEEDS) - 2 and v_x >= SPEEDS[k + 1]:
         k += 1
     place = min(max((v_x - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
@@ -161,8 +165,10 @@ def correct(
         expected[i] = x[i] - expected[i]  # the innovation
     for i in (E_PSI, E_Y):
         level += 0.5 * (expected[i] / numbers[i]) ** 2
-    if share > 0.0 and level > OUTLIER_LEVEL:
-        return level
+    if level > OUTLIER_LEVEL:
+        if share > 0.0 and noise_level < LASTING_LEVEL:
+            return level
+        share = 0.0
     for i in range(MEASURED):
         learnt, change = 0.0, 0.0
         for j in range(MEASURED):

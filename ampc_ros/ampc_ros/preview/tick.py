@@ -33,7 +33,7 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
-from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct, filter_share
+from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -55,9 +55,9 @@ INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, NOISE_LEVEL, BEFORE = 0, 1, 3,
 DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 8, 13, 17, 18
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
 the last tick, estimated acceleration, whether a state is predicted, level of noise (the mean of
-what `correct` returns), the command before the oldest one in the delay, disturbance (5,), predicted
-state (5,), whose last number is the road-wheel angle, and the commands in the delay, the newest
-last (n + 1,)."""
+what `correct` returns), the command before the oldest one that is stored, disturbance (5,),
+predicted state (5,), whose last number is the road-wheel angle, and the stored commands, the newest
+last (at least n + 1,): those in the delay, and more where the delay may become longer."""
 
 
 class PathPosition(NamedTuple):
@@ -134,8 +134,7 @@ def update_estimates(
         return
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
     if v_x >= LEARN_ABOVE:
-        share = filter_share(numbers, memory[NOISE_LEVEL])
-        level = correct(numbers, v_x, share, x, expected, disturbance)
+        level = correct(numbers, v_x, memory[NOISE_LEVEL], x, expected, disturbance)
         change = min(level, MAX_LEVEL) - memory[NOISE_LEVEL]
         memory[NOISE_LEVEL] += min(T / LEVEL_TIME, 1.0) * change
     else:
@@ -170,7 +169,9 @@ def predict_next_state(
     sampled = blank_model(scratch)
     T, actuator = model.limits.T, model.actuator
     sample_model(model.vehicle, road.speed[0], T, actuator, sampled, scratch)
-    older, old = memory[BEFORE], memory[len(memory) - 1 - actuator.ticks]
+    newest = len(memory) - 1
+    old, before = memory[newest - actuator.ticks], newest - actuator.ticks - 1
+    older = memory[before] if before >= SENT else memory[BEFORE]
     for i in range(STATES):
         expected = sampled.B_old[i] * older + sampled.B_new[i] * old
         expected += sampled.D[i] * road.curvature[1]
@@ -271,7 +272,7 @@ def new_memory(ticks: int) -> Array:
     """Return the memory of a controller before its first step.
 
     Args:
-        ticks: Whole ticks of delay of its steering.
+        ticks: Largest number of whole ticks of delay of its steering.
     """
     memory = np.zeros(SENT + ticks + 1)
     memory[INDEX], memory[IN_USE : IN_USE + 2] = NOT_CAUGHT, NONE

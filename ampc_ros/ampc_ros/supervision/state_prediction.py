@@ -10,6 +10,7 @@ from ampc_msgs_config.frames import at_distance, wrap_angle
 from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Configuration
+from ampc_ros.mpc.internal_model import LARGEST_LAG
 
 MODEL_ABOVE = 1.5
 """Speed from which the bicycle model is used; a slower car keeps its twist [m/s]."""
@@ -19,8 +20,6 @@ MOST_STEPS = 10_000
 """Bound of the number of steps for a model with extreme parameters."""
 SETTLED = 5.0
 """Time after which a first-order lag has settled, in time constants."""
-HISTORY_NS = 5 * NANOSECONDS
-"""Time for which commands are stored [ns]."""
 
 
 class SentCommand(NamedTuple):
@@ -82,6 +81,7 @@ def advance_car(
     """
     m, I_z, l_f, l_r, C_f, C_r = model.vehicle
     x, y, yaw, v, v_y, r, steering = motion
+    steering = steering if model.lag > 0.0 else command
     load = model.friction * m * GRAVITY / (l_f + l_r)
     stiff = 2.0 * max((C_f + C_r) / m, (C_f * l_f**2 + C_r * l_r**2) / I_z) / max(v, MODEL_ABOVE)
     steps = min(max(math.ceil(elapsed * max(1.0 / STEP, stiff)), 1), MOST_STEPS)
@@ -110,8 +110,11 @@ class StatePredictor:
 
     def __init__(self, config: Configuration, steering: float) -> None:
         """Create the model of a configuration; `steering` is the angle in force [rad]."""
-        self._to_cg, self._lag = config.base_link_to_cg, config.steering.time_constant
-        self._delay_ns = round(config.steering.delay * NANOSECONDS)
+        self._to_cg = config.base_link_to_cg
+        self.use_steering(config.steering.delay, config.steering.time_constant)
+        unknown = 0.0 if config.steering.is_lag_configured else LARGEST_LAG
+        longest = config.settings.state_prediction + unknown
+        self._history_ns = round(longest * NANOSECONDS) + self._delay_ns + self._settling_ns
         friction = config.settings.friction
         self._vehicle, self._friction = astuple(config.chassis), friction
         self.reset(steering)
@@ -125,20 +128,22 @@ class StatePredictor:
         """Continue with the commands of another predictor."""
         self._sent, self._before = other._sent, other._before
 
-    @property
-    def lag(self) -> float:
-        """Time constant of the steering [s]."""
-        return self._lag
-
-    @lag.setter
-    def lag(self, lag: float) -> None:
-        self._lag = lag
+    def use_steering(self, delay: float, lag: float) -> None:
+        """Use another delay and lag of the steering [s]."""
+        self._delay_ns, self._lag = round(delay * NANOSECONDS), lag
+        self._settling_ns = round(SETTLED * lag * NANOSECONDS)
 
     def store(self, steering: float, now_ns: int) -> None:
-        """Store the command [rad] that is sent now [ns]."""
-        while self._sent and self._sent[-1].time_ns >= now_ns:  # time went back
+        """Store the command [rad] that is sent now [ns].
+
+        After a clock that was set back the times of the earlier commands mean nothing: the newest
+        of them counts as in force since long ago.
+        """
+        if self._sent and now_ns < self._sent[-1].time_ns:
+            self.reset(self._sent[-1].steering)
+        if self._sent and now_ns == self._sent[-1].time_ns:
             self._sent.pop()
-        while self._sent and self._sent[0].time_ns < now_ns - HISTORY_NS:
+        while self._sent and self._sent[0].time_ns < now_ns - self._history_ns:
             self._before = self._sent.popleft().steering
         self._sent.append(SentCommand(now_ns, steering))
 
@@ -146,6 +151,8 @@ class StatePredictor:
         """Replace the newest command: another angle [rad] was sent."""
         if self._sent:
             self._sent[-1] = self._sent[-1]._replace(steering=steering)
+        else:
+            self._before = steering
 
     def predict(self, state: VehicleState, end_ns: int) -> VehicleState:
         """Return the state at a later time; a state of that time or later is not changed.
@@ -158,36 +165,32 @@ class StatePredictor:
         """
         if end_ns <= state.stamp_ns:
             return state
-        begin_ns, car = state.stamp_ns, at_distance(state, self._to_cg)
+        car = at_distance(state, self._to_cg)
         model = CarModel(self._vehicle, self._friction, self._lag)
-        motion = Motion(*car[1:], self._wheel(begin_ns))
-        for finish_ns in self._changes(begin_ns, end_ns):
-            command, elapsed = self._command(begin_ns), (finish_ns - begin_ns) / NANOSECONDS
+        motion = Motion(*car[1:], self._wheel(state.stamp_ns))
+        for command, elapsed in self._commands(state.stamp_ns, end_ns):
             motion = Motion(*advance_car(model, motion, command, elapsed))
-            begin_ns = finish_ns
         car = VehicleState(end_ns, *motion[:-1])._replace(yaw=wrap_angle(motion.yaw))
         return at_distance(car, -self._to_cg)
 
-    def _command(self, time_ns: int) -> float:
-        """Return the command that leaves the delay at a time [rad]."""
-        for command in reversed(self._sent):
-            if command.time_ns + self._delay_ns <= time_ns:
-                return command.steering
-        return self._before
-
-    def _changes(self, begin_ns: int, end_ns: int) -> list[int]:
-        """Return the times between which the command is constant, without the first [ns]."""
-        times = (each.time_ns + self._delay_ns for each in self._sent)
-        return [*(time for time in times if begin_ns < time < end_ns), end_ns]
+    def _commands(self, begin_ns: int, end_ns: int) -> list[tuple[float, float]]:
+        """Return the commands that leave the delay between two times [rad], and how long [s]."""
+        commands = []
+        for time_ns, steering in reversed(self._sent):
+            if begin_ns >= end_ns:
+                break
+            since_ns = max(time_ns + self._delay_ns, begin_ns)
+            if since_ns < end_ns:
+                commands.append((steering, (end_ns - since_ns) / NANOSECONDS))
+                end_ns = since_ns
+        if begin_ns < end_ns:
+            commands.append((self._before, (end_ns - begin_ns) / NANOSECONDS))
+        return commands[::-1]
 
     def _wheel(self, time_ns: int) -> float:
         """Return the road-wheel angle at a time, after delay and lag [rad]."""
-        if self._lag <= 0.0:
-            return self._command(time_ns)
-        begin_ns = time_ns - round(SETTLED * self._lag * NANOSECONDS)
-        angle = self._command(begin_ns)
-        for end_ns in self._changes(begin_ns, time_ns):
-            command, elapsed = self._command(begin_ns), (end_ns - begin_ns) / NANOSECONDS
+        commands = self._commands(time_ns - self._settling_ns, time_ns)
+        angle = commands[0][0] if commands else self._before
+        for command, elapsed in commands:
             angle = command + (angle - command) * math.exp(-elapsed / self._lag)
-            begin_ns = end_ns
         return angle

@@ -75,9 +75,9 @@ class Supervisor:
         self._points: Array | None = None
         self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
-        self._answered_ns = -1
+        self._answered_ns, self._is_repeated = -1, False
         self._predictor = StatePredictor(config, 0.0)
-        self._lag = LagEstimate()
+        self._lag = LagEstimate(config.steering.delay)
         self._install(config, build_controller(config, source), 0.0)
 
     def reconfigure(self, config: Configuration, source: object = "gain table") -> None:
@@ -103,6 +103,7 @@ class Supervisor:
         self._chain.restart(steering)
         before, self._predictor = self._predictor, StatePredictor(config, steering)
         self._predictor.inherit(before)
+        self._lag.delay = config.steering.delay
         self._use_lag()
 
     @property
@@ -264,6 +265,7 @@ class Supervisor:
         goes_back = self._state is not None and state.stamp_ns < self._state.stamp_ns
         self.restart(0.0 if goes_back and self.config.simulated_time else None)
         if goes_back:
+            self._predictor.reset(self.steering)
             self._progress.forget()
         else:
             self._progress.relocate(self._centre(state))
@@ -363,9 +365,10 @@ class Supervisor:
 
         # The level of the fallback chain follows from the ages of state and path. A late state is
         # continued by the model; beyond that the last plan is used.
-        stepped, is_late = False, self.is_state_late(now_ns)
-        missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
-        if is_late and not self.can_predict(now_ns):
+        stepped, missing = False, NO_REASON
+        if self.is_state_late(now_ns):
+            missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
+        if missing and not self.can_predict(now_ns):
             follow = self._chain.stop if missing == STATE_LOST else self._chain.advance
             command = follow(missing, last, now_ns)
         else:
@@ -383,11 +386,7 @@ class Supervisor:
             reason = self._monitor(present, location)
             if command.reason == NO_REASON and (is_path_lost or self.no_path):
                 reason = reason or PATH_LOST
-            if is_late:
-                rung = STOP if missing == STATE_LOST else SHIFTED_PLAN
-                command, reason = command._replace(rung=max(command.rung, rung)), missing
-            if reason and (is_late or command.rung != STOP):
-                command = command._replace(reason=reason)
+            command = with_reason(command, reason, missing)
 
         # The guard clips the command, whatever its source.
         guarded = self._guard.step(
@@ -426,17 +425,29 @@ class Supervisor:
             self._yaw_rate,
         )
 
+    @property
+    def estimated_lag(self) -> float:
+        """Delay and lag of the steering in total, where the lag is not configured [s]; else nan."""
+        return math.nan if self.config.steering.is_lag_configured else sum(self._lag.steering)
+
     def _use_lag(self) -> None:
         """Use the estimated lag of the steering where none is configured."""
         if not self.config.steering.is_lag_configured:
-            self._predictor.lag = self._lag.lag
-            self.controller.use_lag(self._lag.lag, self._lag.caution)
+            delay, lag = self._lag.steering
+            self._predictor.use_steering(delay, lag)
+            self.controller.use_steering(delay, lag, self._lag.caution)
 
     def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
-        """Return the state at the time of the tick; the estimates wait for a new measurement."""
-        if state.stamp_ns == self._answered_ns:
+        """Return the state at the time of the tick.
+
+        The estimates wait for two new measurements: the error of a prediction over several ticks is
+        no disturbance of a single tick.
+        """
+        was_repeated, self._is_repeated = self._is_repeated, state.stamp_ns == self._answered_ns
+        if self._is_repeated or was_repeated:
             self.controller.hold_estimates()
-        elif not self.config.steering.is_lag_configured:
+        is_new, is_measured = not self._is_repeated, math.isnan(self._yaw_rate)
+        if is_new and is_measured and not self.config.steering.is_lag_configured:
             self._lag.observe(state, self._predictor)
             self._use_lag()
         self._answered_ns = state.stamp_ns
@@ -469,10 +480,31 @@ class Supervisor:
     def can_predict(self, now_ns: int) -> bool:
         """Return whether the newest state can be predicted to this time."""
         prediction = self.config.settings.state_prediction
-        return self._state is not None and self._state.ages(now_ns).age <= prediction
+        return self._state is not None and 0.0 < self._state.ages(now_ns).age <= prediction
 
     def is_path_lost(self, now_ns: int) -> bool:
         """Return whether the path is too old to be followed without a stop."""
         if self._path is None or self.config.static_path:
             return False
         return self._path.is_older(now_ns, self.config.settings.path_lost)
+
+
+def with_reason(command: Command, reason: int, missing: int) -> Command:
+    """Return a command with the reason that matters most.
+
+    A lost state comes first. A refusal of the controller and a stop that the drive needs come
+    before a late state: they are requested however long states are late.
+
+    Args:
+        command: Command of the fallback chain.
+        reason: Reason of the monitors or of the path, or NO_REASON.
+        missing: STATE_LATE, STATE_LOST, or NO_REASON.
+    """
+    if missing == STATE_LOST:
+        return command._replace(rung=STOP, reason=STATE_LOST)
+    if command.rung == STOP:
+        return command
+    if missing == STATE_LATE:
+        command = command._replace(rung=max(command.rung, SHIFTED_PLAN))
+        reason = reason if reason in (OFF_PATH, PATH_ENDS) else STATE_LATE
+    return command._replace(reason=reason) if reason else command

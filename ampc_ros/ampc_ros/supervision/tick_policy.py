@@ -21,7 +21,9 @@ class TickPolicy:
     In real time a state is answered by the next call of the timer. A tick without a new state is
     deferred: the next state is answered at once, so that car and controller with the same rate need
     not be in phase. A tick is missed where that state does not come before the next tick either, or
-    where the timer left the tick out. A state that is late is answered without a new one.
+    where the timer left the tick out. The last state is then continued by the model, where it can
+    be predicted; with odometry slower than the controller, all ticks between two states are. A
+    state that is late is answered without a new one.
 
     In lock-step every state is answered once; the same state again repeats the same command.
     """
@@ -38,12 +40,13 @@ class TickPolicy:
         self.lateness_ns = 0
         """Delay of the newest tick [ns]."""
         self._period_ns = round(supervisor.period * NANOSECONDS)
-        self._is_deferred = False
+        self._is_deferred = self._is_continued = self._is_slow = False
         self._due_ns: int | None = None
 
     def restart_timer(self) -> None:
         """Start a new timer: no tick is deferred, none was left out."""
-        self._is_deferred, self._due_ns = False, None
+        self._is_deferred = self._is_continued = self._is_slow = False
+        self._due_ns = None
 
     @property
     def is_answered(self) -> bool:
@@ -84,7 +87,11 @@ class TickPolicy:
         self._count_left_out(now_ns, left_ns)
         if not self.is_answered or self.supervisor.is_state_late(now_ns):
             return Action.TICK
-        self.missed += self._is_deferred
+        is_continued = self._is_deferred or self._is_continued or self._is_slow
+        self.missed += is_continued
+        if is_continued and self.supervisor.can_predict(now_ns):
+            self._is_continued = True
+            return Action.TICK
         self._is_deferred = True
         return Action.WAIT
 
@@ -105,6 +112,8 @@ class TickPolicy:
         if not self.supervisor.is_ready:
             return None
         self._is_deferred = False
+        if not self.is_answered:
+            self._is_slow, self._is_continued = self._is_continued, False
         now_ns = self.supervisor.newest_ns if self.lock_step else now_ns
         self.record = self.supervisor.tick(now_ns)
         return self.record

@@ -53,3 +53,4 @@ def warm_up(config: Configuration) -> None:
         supervisor.take_steering(0.0)
         supervisor.step(VehicleState(tick * period_ns, x, 0.1, 0.0, 9.0, 0.0, 0.0), path)
         supervisor.inject_qp_fault(True)
+    supervisor.tick(supervisor.newest_ns + period_ns)  # the state has to be predicted
