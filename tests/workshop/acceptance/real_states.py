@@ -45,6 +45,7 @@ BEFORE_FILE = Path(__file__).with_name("real_states_before.json")
 BEFORE_COMMIT = "9c869f3"
 """The version before."""
 STORE = f"""git worktree add ../before {BEFORE_COMMIT} && cp -r tests ../before && cd ../before && \
+PYTHONPATH=.:ampc_msgs_config:ampc_ros:sim_vehicle \
 python -m tests.workshop.acceptance.real_states --store-before"""
 """Commands that store its results."""
 REPORTED = math.inf
