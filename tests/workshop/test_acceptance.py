@@ -18,20 +18,16 @@ from tests.workshop.acceptance.cases import Case, Threshold, added, all_cases, f
 from tests.workshop.acceptance.path_noise import BEFORE, FIGURE, NOISE, Curve, draw, read, write
 from tests.workshop.acceptance.real_drives import RoadDrive, Setup, drive, lap_time, step_excess
 from tests.workshop.acceptance.real_paths import (
-    BEGIN,
     CARS,
     CLEAN_FILE,
-    END,
     GUARDS,
     MAX,
     REVERSALS,
+    SECTION,
     SPACINGS,
     SPEEDS,
     STEP,
     Block,
-    Observation,
-    Row,
-    Target,
     blocks,
     clean_trials,
     drive_static,
@@ -40,11 +36,8 @@ from tests.workshop.acceptance.real_paths import (
     once,
     reduced_tasks,
     static_name,
-    table,
     tasks,
-    update,
 )
-from tests.workshop.acceptance.real_paths import rows_of as real_rows
 from tests.workshop.acceptance.real_roads import (
     LANE_GAP,
     MIXED,
@@ -54,6 +47,7 @@ from tests.workshop.acceptance.real_roads import (
     road,
     roads,
 )
+from tests.workshop.acceptance.targets import END, Observation, Row, Target
 from tests.workshop.acceptance.trials import QUANTITIES, Trial
 
 CIRCLE = Trial("circle")
@@ -186,17 +180,17 @@ def test_the_grid_contains_every_road_car_guard_speed_and_spacing() -> None:
 def test_the_worst_drive_decides_about_a_target() -> None:
     name = static_name(Disturbance(0.02))
     values = {"a": 0.10, "b": 0.16, "c": 0.05}
-    rows = real_rows([Observation(Target(name, MAX), v, place) for place, v in values.items()])
+    rows = SECTION.rows([Observation(Target(name, MAX), v, place) for place, v in values.items()])
     assert [(row.worst, row.place, row.within, row.holds) for row in rows] == [
         (0.16, "b", 2, False)
     ]
-    assert "| <= 0.15 | 0.16 |" in table(rows)
-    assert "2 of 3 | NO | b |" in table(rows)
+    assert "| <= 0.15 | 0.16 |" in SECTION.table(rows)
+    assert "2 of 3 | NO | b |" in SECTION.table(rows)
     nothing = rows[0]._replace(values=())
     assert not nothing.holds
     rejected = rows[0]._replace(values=(math.inf,))
     assert rejected.to_json["worst"] is None
-    assert "rejected" in table([rejected])
+    assert "rejected" in SECTION.table([rejected])
 
 
 def test_clean_results_are_compared_with_the_stored_ones(
@@ -209,26 +203,26 @@ def test_clean_results_are_compared_with_the_stored_ones(
     file = tmp_path / "clean.json"
     file.write_text(json.dumps(stored), encoding="utf-8")
     monkeypatch.setattr("tests.workshop.acceptance.real_paths.CLEAN_FILE", file)
-    assert not real_rows(measure_clean("sc1, paper car"))[0].holds
+    assert not SECTION.rows(measure_clean("sc1, paper car"))[0].holds
 
 
 def test_a_page_receives_the_table_between_its_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"# Title\n\n{BEGIN}\nold\n{END}\n\nText\n", encoding="utf-8")
-    update(page, "| new |\n")
+    page.write_text(f"# Title\n\n{SECTION.begin}\nold\n{END}\n\nText\n", encoding="utf-8")
+    SECTION.update(page, "| new |\n")
     text = page.read_text(encoding="utf-8")
     assert "old" not in text
-    assert text == f"# Title\n\n{BEGIN}\n\n| new |\n\n{END}\n\nText\n"
+    assert text == f"# Title\n\n{SECTION.begin}\n\n| new |\n\n{END}\n\nText\n"
     page.write_text("# Title\n", encoding="utf-8")
     with pytest.raises(ValueError, match="must contain"):
-        update(page, "")
+        SECTION.update(page, "")
 
 
 @pytest.fixture(scope="module")
 def reduced() -> dict[Target, Row]:
     """Drive the reduced grid of real paths."""
     observations = [o for task in reduced_tasks(0) for o in task()]
-    return {row.target: row for row in real_rows(observations)}
+    return {row.target: row for row in SECTION.rows(observations)}
 
 
 def test_the_reduced_grid_of_real_paths_meets_the_bounds_of_errors(

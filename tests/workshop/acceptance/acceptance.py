@@ -9,6 +9,7 @@ import json
 import math
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +19,16 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from tests.workshop.acceptance import real_paths
+from tests.workshop.acceptance import real_paths, real_states
 from tests.workshop.acceptance.acceptance_figure import draw_comparison
 from tests.workshop.acceptance.cases import BOTH, SPEEDS, Case, Measured, Threshold, all_cases
 from tests.workshop.acceptance.trials import DATA, QUANTITIES
+
+SECTIONS = (
+    (real_paths.SECTION, partial(real_paths.tasks, 0)),
+    (real_states.SECTION, real_states.tasks),
+)
+"""Sections with targets of their own, and the functions that return their tasks."""
 
 HEADINGS = ("case", "quantity", "threshold", *BOTH, "met")
 WIDTH = 120
@@ -55,7 +62,8 @@ class Row(NamedTuple):
 
 def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    groups = [*dict.fromkeys(case.group for case in all_cases()), real_paths.GROUP]
+    groups = [*dict.fromkeys(case.group for case in all_cases())]
+    groups += [section.group for section, _ in SECTIONS]
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--output", type=Path, default=Path("runs/acceptance"), help="folder; default: %(default)s"
@@ -174,23 +182,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         measurements = measure_all(cases, chosen.workers, progress)
-        real: list[real_paths.Row] = []
-        if real_paths.GROUP in chosen.only:
-            real = real_paths.measure(real_paths.tasks(seed=0), chosen.workers, progress)
+        sections = [
+            (section, section.measure(tasks(), chosen.workers, progress))
+            for section, tasks in SECTIONS
+            if section.group in chosen.only
+        ]
     rows = rows_of(cases, measurements)
     show(rows, console)
     chosen.output.mkdir(parents=True, exist_ok=True)
     text = json.dumps(results_to_json(cases, measurements), indent=2, allow_nan=False) + "\n"
     (chosen.output / "acceptance.json").write_text(text, encoding="utf-8")
     text = result_table(rows) + eigenvalue_table(cases, measurements)
-    if real:
-        section = real_paths.table(real)
-        console.print(section, markup=False, soft_wrap=True)
-        text += f"\nReal paths:\n\n{section}"
-        real_paths.write_json(real, chosen.output / "real_paths.json", real_paths.COMMAND)
+    for section, targets in sections:
+        table = section.table(targets)
+        console.print(table, markup=False, soft_wrap=True)
+        text += f"\n{section.group.capitalize()}:\n\n{table}"
+        section.write(targets, chosen.output)
     (chosen.output / "acceptance.md").write_text(text, encoding="utf-8")
     draw_comparison(("sc1", "sc3_varying"), chosen.output / "acceptance.png")
-    failed = sum(not row.holds for row in rows) + sum(not row.holds for row in real)
+    failed = sum(not row.holds for row in rows)
+    failed += sum(not row.holds for _, targets in sections for row in targets)
     console.print(f"{failed} thresholds not met; written to {chosen.output}")
     return int(failed > 0)
 

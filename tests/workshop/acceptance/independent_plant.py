@@ -35,6 +35,8 @@ class Disturbance(NamedTuple):
     """Factor on the friction of the tyres."""
     gust: tuple[float, float] = (0.0, 0.0)
     """Side force [N] and yaw moment [N m] of a gust from 4 s to 6 s, 1-cos."""
+    servo_lag: float = SERVO_LAG
+    """Time constant of the steering servo [s]."""
 
 
 def parameters(vehicle: int, friction: float = 1.0) -> Any:
@@ -124,7 +126,7 @@ class IndependentSimulation:
         from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 
         x = [float(value) for value in state]
-        servo = (angle - x[2]) / SERVO_LAG  # the model limits the rate
+        servo = (angle - x[2]) / self.disturbance.servo_lag  # the model limits the rate
         drive = SPEED_GAIN * (target_speed - x[3])
         rate = np.array(vehicle_dynamics_std(x, [servo, drive], self.p))
         z = min(max((time - 4.0) / 2.0, 0.0), 1.0)

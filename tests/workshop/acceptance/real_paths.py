@@ -9,19 +9,16 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ampc_msgs_config.types import Array
 from ampc_ros.supervision.supervisor import Supervisor
-from launch_scripts.reporting.pages import markdown_table
 from tests.workshop.acceptance.real_drives import (
     LONGITUDINAL,
     PERIOD,
@@ -41,9 +38,17 @@ from tests.workshop.acceptance.real_roads import (
     road,
     roads,
 )
+from tests.workshop.acceptance.targets import (
+    Observation,
+    Section,
+    Target,
+    Task,
+    observe,
+    targets_of,
+    write_json,
+)
 from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run
 
-GROUP = "real paths"
 CARS, GUARDS = ("paper", "ordinary"), ("road", "track")
 SPEEDS = (4.0, 9.0, 15.0, 21.0, 27.0)
 """Largest speeds [m/s]."""
@@ -66,10 +71,8 @@ END_SPEEDS, END_MARGIN = (4.0, 9.0, 15.0, 27.0), 60.0
 """Speeds of the path ends [m/s]; distance driven before the latest start of braking [m]."""
 CLEAN_FILE = Path(__file__).with_name("real_paths_clean.json")
 BEFORE_FILE = Path(__file__).with_name("real_paths_before.json")
-COMMAND = "python -m tests.workshop.acceptance.real_paths"
 CLEAN_LIMIT = 0.002
 """Largest change of a result on clean points [m]."""
-BEGIN, END = "<!-- table of real_paths.py -->", "<!-- end of the table -->"
 
 # Quantities of a target.
 MAX, RMS = "largest error [m]", "RMS error [m]"
@@ -81,13 +84,6 @@ ADDED = "largest error beyond that of a path sent once [m]"
 MOVING = "drives that do not stop"
 BEYOND = "standstill beyond the end of the path [m]"
 CHANGE_MAX, CHANGE_RMS = "change of the largest error [m]", "change of the RMS error [m]"
-
-
-class Target(NamedTuple):
-    """One row of the table."""
-
-    name: str
-    quantity: str
 
 
 SAME = {REVERSALS: 0.0, TIME: 5.0, UNSOLVED: 0.0}
@@ -137,19 +133,10 @@ def limits() -> dict[Target, float]:
         **resent,
         END_NAME: {MOVING: 0.0, BEYOND: math.inf},
     }
-    return {Target(name, q): limit for name, part in rows.items() for q, limit in part.items()}
+    return targets_of(rows)
 
 
-class Observation(NamedTuple):
-    """Value of a target in one drive."""
-
-    target: Target
-    value: float
-    place: str
-    """Description of the drive."""
-
-
-Task = partial[list[Observation]]
+SECTION = Section("real paths", "real_paths", limits(), BEFORE_FILE)
 
 
 class Block(NamedTuple):
@@ -327,11 +314,6 @@ def measure_clean(name: str) -> list[Observation]:
     return observe(CLEAN_NAME, place, values)
 
 
-def observe(name: str, place: object, values: dict[str, float]) -> list[Observation]:
-    """Return the observations of one drive."""
-    return [Observation(Target(name, q), float(value), str(place)) for q, value in values.items()]
-
-
 def blocks(seed: int) -> list[Block]:
     """Return the grid: each road, car and spacing; speed, guard and rotation alternate.
 
@@ -375,135 +357,9 @@ def reduced_tasks(seed: int) -> list[Task]:
     ]
 
 
-class Row(NamedTuple):
-    """Result of one target."""
-
-    target: Target
-    limit: float
-    values: tuple[float, ...]
-    """Value of each drive."""
-    place: str
-    """Drive with the worst value."""
-
-    @property
-    def worst(self) -> float:
-        """Largest value of all drives; nan without drives."""
-        return max(self.values, default=math.nan)
-
-    @property
-    def within(self) -> int:
-        """Number of drives within the target."""
-        return sum(value <= self.limit for value in self.values)
-
-    @property
-    def holds(self) -> bool:
-        """True if all drives meet the target; a target without drives is not met."""
-        return math.isinf(self.limit) or (bool(self.values) and self.within == len(self.values))
-
-    @property
-    def to_json(self) -> dict[str, Any]:
-        """JSON value; an infinite number is null."""
-        return {
-            "name": self.target.name,
-            "quantity": self.target.quantity,
-            "limit": finite(self.limit),
-            "worst": finite(self.worst),
-            "drive": self.place,
-            "drives": len(self.values),
-            "within": self.within,
-        }
-
-
-def finite(value: float) -> float | None:
-    """Return a finite number, or None."""
-    return value if math.isfinite(value) else None
-
-
-def rows_of(observations: Sequence[Observation]) -> list[Row]:
-    """Return the rows of all targets that have been driven."""
-    rows = []
-    for target, limit in limits().items():
-        of_target = [o for o in observations if o.target == target]
-        if of_target:
-            worst = max(of_target, key=lambda o: o.value)
-            rows.append(Row(target, limit, tuple(o.value for o in of_target), worst.place))
-    return rows
-
-
-HEADS = (
-    "real paths",
-    "quantity",
-    "target",
-    "worst",
-    "before",
-    "drives within",
-    "met",
-    "worst drive",
-)
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Return the table as Markdown, with the worst values of the version before."""
-    before = {}
-    if BEFORE_FILE.is_file():
-        stored = json.loads(BEFORE_FILE.read_text(encoding="utf-8"))["rows"]
-        before = {(row["name"], row["quantity"]): row["worst"] for row in stored}
-    cells = []
-    for row in rows:
-        reported = math.isinf(row.limit)
-        then = before.get((row.target.name, row.target.quantity), math.nan)
-        cells.append(
-            (
-                row.target.name,
-                row.target.quantity,
-                "" if reported else f"<= {row.limit:g}",
-                shown(row.worst),
-                shown(math.inf if then is None else then),
-                "" if reported else f"{row.within} of {len(row.values)}",
-                "" if reported else "yes" if row.holds else "NO",
-                row.place,
-            )
-        )
-    return "\n".join(markdown_table(HEADS, cells, "lrrrrll")) + "\n"
-
-
-def shown(value: float) -> str:
-    """Return a number as text; infinite: the path was rejected."""
-    return "rejected" if value == math.inf else "-" if math.isnan(value) else f"{value:.3g}"
-
-
-def measure(jobs: Sequence[Task], workers: int, progress: Progress) -> list[Row]:
-    """Run tasks in parallel and return the rows."""
-    found: list[Observation] = []
-    with ProcessPoolExecutor(workers) as pool:
-        running = [pool.submit(job) for job in jobs]
-        for task in progress.track(as_completed(running), len(running), description=GROUP):
-            found += task.result()
-    return rows_of(sorted(found))
-
-
-def write_json(rows: Sequence[Row], file: Path, command: str) -> None:
-    """Write the results as JSON with the command that measured them."""
-    content = {"command": command, "rows": [row.to_json for row in rows]}
-    file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def update(page: Path, text: str) -> None:
-    """Replace the table of a page.
-
-    Raises:
-        ValueError: The page does not contain the marks of the table.
-    """
-    content = page.read_text(encoding="utf-8")
-    if BEGIN not in content or END not in content:
-        raise ValueError(f"{page}: must contain {BEGIN!r} and {END!r}")
-    before, after = content.split(BEGIN)[0], content.split(END)[1]
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
-
-
 def store_clean() -> None:
     """Write the results on clean points, with which later versions are compared."""
-    command = f"{COMMAND} --store-clean"
+    command = f"{SECTION.command} --store-clean"
     values = {name: clean_values(name) for name in clean_trials()}
     text = json.dumps({"command": command, "values": values}, indent=1)
     CLEAN_FILE.write_text(text + "\n", encoding="utf-8")
@@ -523,22 +379,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.store_clean:
         store_clean()
         return 0
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     jobs = [job for job in tasks(chosen.seed) if chosen.only in job.func.__name__]
-    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        rows = measure(jobs, chosen.workers, progress)
-    chosen.output.mkdir(parents=True, exist_ok=True)
-    write_json(rows, chosen.output / "real_paths.json", COMMAND)
+    rows = SECTION.measure_alone(jobs, chosen.workers, console)
     if chosen.store_before:
-        write_json(rows, BEFORE_FILE, f"{COMMAND} --store-before")
-    text = table(rows)
-    (chosen.output / "real_paths.md").write_text(text, encoding="utf-8")
-    if chosen.update:
-        update(chosen.update, text)
-    console.print(text, markup=False)
-    failed = sum(not row.holds for row in rows)
-    console.print(f"{failed} targets not met; written to {chosen.output}")
-    return int(failed > 0)
+        write_json(rows, BEFORE_FILE, f"{SECTION.command} --store-before")
+    return SECTION.report(rows, chosen.output, chosen.update, console)
 
 
 if __name__ == "__main__":

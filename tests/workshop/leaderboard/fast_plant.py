@@ -16,7 +16,6 @@ import numpy as np
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import NANOSECONDS, Array
 from tests.workshop.acceptance.independent_plant import (
-    SERVO_LAG,
     SPEED_GAIN,
     STEP,
     Disturbance,
@@ -63,9 +62,9 @@ def compiled_steps() -> Any:
     stages = np.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]])  # Runge-Kutta
 
     @numba.njit(error_model="numpy")
-    def rate(state: Any, angle: Any, target: Any, time: Any, gust: Any, p: Any) -> Any:
-        x = state.copy()
-        inputs = ((angle - x[2]) / SERVO_LAG, SPEED_GAIN * (target - x[3]))
+    def rate(state: Any, angle: Any, target: Any, time: Any, disturbance: Any, p: Any) -> Any:
+        x, gust = state.copy(), disturbance.gust
+        inputs = ((angle - x[2]) / disturbance.servo_lag, SPEED_GAIN * (target - x[3]))
         dx = np.array(right_hand_side(x, inputs, p))
         z = min(max((time - 4.0) / 2.0, 0.0), 1.0)
         shape = (1 - math.cos(math.tau * z)) / 2
@@ -76,12 +75,12 @@ def compiled_steps() -> Any:
         return dx
 
     @numba.njit(error_model="numpy")
-    def steps(state: Any, angles: Any, target: Any, begin: Any, gust: Any, p: Any) -> Any:
+    def steps(state: Any, angles: Any, target: Any, begin: Any, disturbance: Any, p: Any) -> Any:
         for i, angle in enumerate(angles):
             time = begin + i * STEP
             total, k = np.zeros(len(state)), np.zeros(len(state))
             for share, weight in stages:
-                k = rate(state + share * STEP * k, angle, target, time, gust, p)
+                k = rate(state + share * STEP * k, angle, target, time, disturbance, p)
                 total = total + weight * k
             state = state + STEP / 6 * total
         return state
@@ -118,6 +117,6 @@ class FastSimulation(IndependentSimulation):
         count = round(period_ns / NANOSECONDS / STEP)
         self.waiting += [steering] * count
         angles, self.waiting = np.array(self.waiting[:count]), self.waiting[count:]
-        begin, gust = self.elapsed_ns / NANOSECONDS, self.disturbance.gust
-        self.state = self.steps(self.state, angles, target_speed, begin, gust, self.numbers)
+        begin, disturbance = self.elapsed_ns / NANOSECONDS, self.disturbance
+        self.state = self.steps(self.state, angles, target_speed, begin, disturbance, self.numbers)
         self.elapsed_ns += round(STEP * NANOSECONDS) * count
