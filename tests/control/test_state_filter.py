@@ -24,16 +24,18 @@ from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.preview.model import E_PSI, E_Y, SampledModel, sample_model
 from ampc_ros.preview.state_filter import (
+    BIAS,
     DISTURBANCE_GAIN,
     DISTURBANCE_NOISE,
+    FULL_BIAS,
     FULL_LEVEL,
     GAINS,
     LEAST_LEVEL,
     LEAST_NOISE,
     LEAST_SHARE,
+    LEVEL_SIZE,
     MEASURED,
     MODEL_NOISE,
-    OUTLIER_LEVEL,
     SPEEDS,
     Noise,
     correct,
@@ -42,8 +44,10 @@ from ampc_ros.preview.state_filter import (
     gains_at,
     noise_of,
     prediction_covariance,
+    update_level,
 )
-from ampc_ros.preview.tick import DISTURBANCE, EXPECTED, EXPECTS, NOISE_LEVEL
+from ampc_ros.preview.state_filter import NOISE as NOISE_PLACE
+from ampc_ros.preview.tick import BEFORE, DISTURBANCE, EXPECTED, EXPECTS, LEVEL
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
@@ -143,22 +147,41 @@ def test_one_correction_is_that_of_the_equations(v: float) -> None:
     x, expected, d = np.array(NOISE) * rng.standard_normal((3, MEASURED))
     innovation = x - expected - d
     estimate, learnt = expected + d + K[:MEASURED] @ innovation, d + K[MEASURED:] @ innovation
-    level = correct(numbers, v, 1.0, x, expected, d)
+    correct(numbers, v, levels(1.0), x, expected, d)
     np.testing.assert_allclose(x, estimate, atol=1e-12)
     np.testing.assert_allclose(d, learnt, atol=1e-12)
-    pose = innovation[[E_PSI, E_Y]] / np.array(NOISE)[[E_PSI, E_Y]]
-    assert level == pytest.approx(np.mean(pose**2))
+    np.testing.assert_allclose(expected, innovation)
+
+
+def levels(noise: float, bias: float = 0.0) -> Array:
+    """Return levels of noise and bias after equal innovations of zero."""
+    level: Array = np.zeros(LEVEL_SIZE)
+    level[NOISE_PLACE], level[BIAS] = noise, bias
+    return level
 
 
 def test_share_of_the_filter_grows_from_its_least_value_to_one() -> None:
     numbers = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 0.2)
-    levels = np.linspace(0.0, 4.0, 100)
-    shares = [filter_share(numbers, level) for level in levels]
+    shares = [filter_share(numbers, levels(each)) for each in np.linspace(0.0, 4.0, 100)]
     assert shares[0] == numbers[LEAST_SHARE] == 0.2
     assert (np.diff(shares) >= 0.0).all()
-    assert filter_share(numbers, FULL_LEVEL) == shares[-1] == 1.0
+    assert filter_share(numbers, levels(FULL_LEVEL)) == shares[-1] == 1.0
+    biased = [filter_share(numbers, levels(4.0, each)) for each in np.linspace(0.0, 2.0, 50)]
+    assert (np.diff(biased) <= 0.0).all()
+    assert (biased[0], biased[-1]) == (1.0, 0.0)
     numbers = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 0.0)
-    assert filter_share(numbers, LEAST_LEVEL) == 0.0
+    assert filter_share(numbers, levels(LEAST_LEVEL)) == 0.0
+
+
+def test_white_noise_is_noise_and_a_constant_innovation_is_bias() -> None:
+    numbers, rng = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 0.0), np.random.default_rng(5)
+    white, constant = levels(0.0), levels(0.0)
+    for _ in range(100):
+        update_level(numbers, 1.2 * rng.normal(0.0, NOISE), T, white)
+        update_level(numbers, 1.5 * np.array(NOISE), T, constant)
+    assert filter_share(numbers, white) > 0.8
+    assert constant[BIAS] > FULL_BIAS
+    assert constant[NOISE_PLACE] < 0.01
 
 
 def test_without_noise_level_the_measured_state_is_unchanged_bit_for_bit() -> None:
@@ -166,7 +189,7 @@ def test_without_noise_level_the_measured_state_is_unchanged_bit_for_bit() -> No
     for scale in (1e-9, 1.0, 100.0):
         x, expected, d = scale * rng.standard_normal((3, MEASURED))
         before, innovation, earlier = x.copy(), x - (expected + d), d.copy()
-        correct(numbers, 9.0, 0.0, x, expected, d)
+        correct(numbers, 9.0, levels(0.0), x, expected, d)
         assert x.tobytes() == before.tobytes()
         np.testing.assert_allclose(d, earlier + np.array(DISTURBANCE_GAIN) * innovation)
 
@@ -177,7 +200,10 @@ def test_without_noise_of_the_pose_there_is_no_filter() -> None:
     assert not numbers[GAINS:].any()
     x, expected, d = np.random.default_rng(3).standard_normal((3, MEASURED))
     before = x.copy()
-    assert correct(numbers, 9.0, 0.0, x, expected, d) == 0.0
+    level = levels(0.0)
+    correct(numbers, 9.0, level, x, expected, d)
+    update_level(numbers, expected, T, level)
+    assert not level.any()
     assert x.tobytes() == before.tobytes()
 
 
@@ -208,7 +234,7 @@ def test_clean_measurements_are_steered_as_without_filter_bit_for_bit() -> None:
         assert (
             on.memory[DISTURBANCE:EXPECTED].tobytes() == off.memory[DISTURBANCE:EXPECTED].tobytes()
         )
-    assert on.memory[NOISE_LEVEL] < LEAST_LEVEL
+    assert on.memory[LEVEL + NOISE_PLACE] < LEAST_LEVEL
 
 
 @pytest.mark.parametrize("noise", [OFF, {}, dict.fromkeys((*OFF, "yaw_rate_noise"), 0.0)])
@@ -272,7 +298,7 @@ def errors_of_straight_drive(lag: float, seed: int, **noise: Any) -> tuple[Array
         if last[EXPECTS]:
             x = np.array([state.v_y, math.sin(state.yaw), state.yaw_rate, state.y])
             numbers = steers.model_row[-len(filter_numbers(*arguments(steers, lag, **noise))) :]
-            correct(numbers, state.v_x, last[NOISE_LEVEL], x, last[EXPECTED:], last[DISTURBANCE:])
+            correct(numbers, state.v_x, last[LEVEL:BEFORE], x, last[EXPECTED:], last[DISTURBANCE:])
             estimated.append(x - (actual.v_y, math.sin(actual.yaw), actual.yaw_rate, actual.y))
             measured.append(error)
         simulation.advance(plan.steering, 15.0, NANOSECONDS // 10)
@@ -302,7 +328,7 @@ def test_a_jump_is_used_as_measured_and_is_no_disturbance(
     numbers = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 0.0)
     x, expected, d = np.zeros((3, MEASURED))
     x[state] = jump
-    assert correct(numbers, 9.0, noise_level, x, expected, d) > OUTLIER_LEVEL
+    correct(numbers, 9.0, levels(noise_level), x, expected, d)
     assert x[state] == jump
     assert np.count_nonzero(x) == 1
     assert not d.any()
@@ -314,7 +340,7 @@ def test_a_yaw_rate_that_no_noise_explains_is_used_without_filter(change: float)
     x, expected, d = np.zeros((3, MEASURED))
     x[:] = 0.01, 0.005, change, 0.03
     before = x.copy()
-    correct(numbers, 9.0, 1.0, x, expected, d)
+    correct(numbers, 9.0, levels(1.0), x, expected, d)
     assert x.tobytes() == before.tobytes()
     np.testing.assert_allclose(d, np.array(DISTURBANCE_GAIN) * before)
 
@@ -337,9 +363,9 @@ def test_a_controller_without_filter_that_inherits_uses_the_measured_state() -> 
         y, yaw = rng.normal(0.0, (0.05, 0.0087))
         state = VehicleState(k * NANOSECONDS // 10, 0.9 * k, y, yaw, 9.0, 0.0, 0.0)
         filtered.step(state, STRAIGHT)
-    assert filtered.memory[NOISE_LEVEL] > FULL_LEVEL
+    assert filtered.memory[LEVEL + NOISE_PLACE] > FULL_LEVEL
     off.inherit(filtered)
-    assert off.memory[NOISE_LEVEL] == 0.0
+    assert off.memory[LEVEL + NOISE_PLACE] == 0.0
     assert (
         off.memory[DISTURBANCE:EXPECTED].tobytes()
         == filtered.memory[DISTURBANCE:EXPECTED].tobytes()

@@ -33,7 +33,7 @@ from ampc_msgs_config.types import (
 from ampc_ros.configuration import Configuration, from_yaml, to_yaml
 from ampc_ros.mpc.model import DELTA, STATES, zero_order_hold
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.tick import ACCELERATION, DISTURBANCE, EXPECTED, NOISE_LEVEL
+from ampc_ros.preview.tick import ACCELERATION, BEFORE, DISTURBANCE, EXPECTED
 from ampc_ros.supervision import state_prediction, warm_up
 from ampc_ros.supervision.fallback import (
     NO_REASON,
@@ -472,7 +472,7 @@ def test_estimates_wait_while_a_state_is_repeated_and_for_the_next_one() -> None
 
     def estimates() -> bytes:
         memory = drive.supervisor.controller.memory  # type: ignore[attr-defined]
-        rows = memory[DISTURBANCE:EXPECTED], memory[[ACCELERATION, NOISE_LEVEL]]
+        rows = memory[DISTURBANCE:EXPECTED], memory[ACCELERATION:BEFORE]
         return b"".join(each.tobytes() for each in rows)
 
     before = estimates()

@@ -30,7 +30,7 @@ from ampc_ros.preview.tick import (
     EXPECTS,
     INDEX,
     LAST_SPEED,
-    NOISE_LEVEL,
+    LEVEL,
     SENT,
     STATE_DELTA,
     call_preview_tick,
@@ -97,6 +97,8 @@ class PreviewMpc(Controller):
             return
         ticks, memory = self.period / other.period, estimates.values
         self.memory[DISTURBANCE:EXPECTED] = ticks * memory[DISTURBANCE:EXPECTED]
+        if math.isfinite(self.model_row[ROW_SIZE]):  # otherwise there is no filter
+            self.memory[LEVEL:BEFORE] = memory[LEVEL:BEFORE]
         for each in (LAST_SPEED, ACCELERATION):
             self.memory[each] = memory[each]
         self.last_ns = estimates.stamp_ns
@@ -146,12 +148,13 @@ class PreviewMpc(Controller):
     def use_steering(self, delay: float, lag: float, caution: float) -> None:
         """Use an estimated delay and lag of the steering, and a least share of the filter."""
         self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(delay, lag, self.period)
-        self.model_row[ROW_SIZE + LEAST_SHARE] = caution
+        if math.isfinite(self.model_row[ROW_SIZE]):  # otherwise there is no filter
+            self.model_row[ROW_SIZE + LEAST_SHARE] = caution
         self.model = unpack_internal_model(self.model_row)
 
     def distrust_noise(self) -> None:
         """Use the next state without filter, unless the lag of the steering is not configured."""
-        self.memory[NOISE_LEVEL] = 0.0
+        self.memory[LEVEL:BEFORE] = 0.0
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

@@ -38,10 +38,18 @@ as a disturbance."""
 DISTURBANCE_GAIN = (0.3, 0.05, 0.3, 0.05)
 """Share of an innovation that enters the disturbance in a tick without filter, by state."""
 LEAST_LEVEL, FULL_LEVEL = 0.15, 0.75
-"""Squared innovation of the pose relative to the noise from which the filter acts, and acts fully.
-White noise of the configured level causes 1.2 to 2."""
+"""Half the squared change of the pose's innovation from step to step, relative to the configured
+noise, from which the filter acts, and acts fully. White noise of that level causes 1.2 to 3."""
+LEAST_BIAS, FULL_BIAS = 0.3, 0.9
+"""Product of successive innovations from which the filter acts less, and not at all."""
+LEVEL_TIME, MAX_LEVEL = 1.0, 4.0
+"""Time constant of both levels [s], and the largest level of a single step."""
+NOISE, BIAS, LEVEL_SIZE = 2, 3, 4
+"""Positions in the levels, after the innovations of heading and cross-track error."""
 OUTLIER_LEVEL = 16.0
 """Squared innovation that is no noise but a jump: the measured state is used."""
+OUTLIER_SHARE = 0.25
+"""Share with which such an innovation counts as noise."""
 LASTING_LEVEL = 3.0
 """Level of noise from which such an innovation is no jump but an error of the model: the
 disturbance is estimated as without filter."""
@@ -134,45 +142,81 @@ def prediction_covariance(A: Array, Q: Array, R: Array) -> Array:
 
 
 @in_place
-def filter_share(numbers: Array, noise_level: float) -> float:
-    """Return the share of the filter's gains, at most 1, at a level of noise."""
-    share = (noise_level - LEAST_LEVEL) / (FULL_LEVEL - LEAST_LEVEL)
-    return float(min(max(share, numbers[LEAST_SHARE]), 1.0))
+def filter_share(numbers: Array, level: Array) -> float:
+    """Return the share of the filter's gains, 0 to 1.
+
+    Args:
+        numbers: `filter_numbers`.
+        level: Innovations of the last step, levels of noise and of bias (LEVEL_SIZE,).
+    """
+    noise = (level[NOISE] - LEAST_LEVEL) / (FULL_LEVEL - LEAST_LEVEL)
+    bias = (level[BIAS] - LEAST_BIAS) / (FULL_BIAS - LEAST_BIAS)
+    share = min(max(noise, numbers[LEAST_SHARE]), 1.0)
+    return float(share * (1.0 - min(max(bias, 0.0), 1.0)))
+
+
+@in_place
+def update_level(numbers: Array, innovation: Array, T: float, level: Array) -> None:
+    """Update the levels of noise and bias by the innovations of the pose.
+
+    White noise changes from step to step. An innovation that stays the same is an error of another
+    state, such as a wrong yaw rate, which the filter would integrate.
+
+    Args:
+        numbers: `filter_numbers`.
+        innovation: (>= 4,).
+        T: Step [s].
+        level: Innovations of the last step, levels of noise and of bias; changed in place.
+    """
+    noise, bias, gain, squared = 0.0, 0.0, min(T / LEVEL_TIME, 1.0), 0.0
+    for i in (E_PSI, E_Y):
+        squared += 0.5 * (innovation[i] / numbers[i]) ** 2
+    if squared > OUTLIER_LEVEL:  # a single jump is no noise; lasting ones are
+        level[NOISE] += OUTLIER_SHARE * gain * (MAX_LEVEL - level[NOISE])
+        return
+    for k in range(2):
+        i = E_PSI if k == 0 else E_Y
+        now, last = innovation[i] / numbers[i], level[k]
+        noise += 0.25 * (now - last) ** 2
+        bias += 0.5 * now * last
+        level[k] = now
+    level[NOISE] += gain * (min(noise, MAX_LEVEL) - level[NOISE])
+    if abs(innovation[YAW_RATE]) > LARGEST_YAW_CHANGE:
+        level[NOISE] = 0.0
+    level[BIAS] += gain * (min(bias, MAX_LEVEL) - level[BIAS])
 
 
 @in_place
 def correct(
-    numbers: Array, v_x: float, noise_level: float, x: Array, expected: Array, disturbance: Array
-) -> float:
+    numbers: Array, v_x: float, level: Array, x: Array, expected: Array, disturbance: Array
+) -> None:
     """Replace a measured state by its estimate, and update the estimated disturbance.
 
     Args:
         numbers: `filter_numbers`.
         v_x: Speed [m/s].
-        noise_level: Level of noise, see `filter_share`; without noise the measured state is kept.
+        level: Levels, see `filter_share`; without noise the measured state is kept.
         x: Measured state (>= 4,), changed in place.
-        expected: State that the model predicts without disturbance (>= 4,); changed.
+        expected: State that the model predicts without disturbance (>= 4,); receives the
+            innovation.
         disturbance: Estimated change of the state in a tick (>= 4,), changed in place.
-
-    Returns:
-        Squared innovation of the pose relative to the configured noise.
     """
-    k, size, level = 0, 2 * MEASURED * MEASURED, 0.0
-    share = filter_share(numbers, noise_level)
+    k, size, squared = 0, 2 * MEASURED * MEASURED, 0.0
+    share = filter_share(numbers, level)
     while k < len(SPEEDS) - 2 and v_x >= SPEEDS[k + 1]:
         k += 1
     place = min(max((v_x - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k]), 0.0), 1.0)
     slow, fast = numbers[GAINS + k * size :], numbers[GAINS + (k + 1) * size :]
     for i in range(MEASURED):
         expected[i] += disturbance[i]
-        expected[i] = x[i] - expected[i]  # the innovation
+        expected[i] = x[i] - expected[i]
     for i in (E_PSI, E_Y):
-        level += 0.5 * (expected[i] / numbers[i]) ** 2
+        squared += 0.5 * (expected[i] / numbers[i]) ** 2
     if abs(expected[YAW_RATE]) > LARGEST_YAW_CHANGE:
         share = 0.0
-    elif level > OUTLIER_LEVEL:
-        if share > 0.0 and noise_level < LASTING_LEVEL:
-            return level
+    elif squared > OUTLIER_LEVEL:
+        if share > 0.0 and level[NOISE] < LASTING_LEVEL:
+            return
         share = 0.0
     for i in range(MEASURED):
         learnt, change = 0.0, 0.0
@@ -183,4 +227,3 @@ def correct(
         x[i] += share * (change - expected[i])
         unfiltered = DISTURBANCE_GAIN[i] * expected[i]
         disturbance[i] += unfiltered + share * (learnt - unfiltered)
-    return level

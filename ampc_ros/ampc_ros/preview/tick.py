@@ -33,7 +33,7 @@ from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickRe
 from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
-from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct
+from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct, update_level
 
 LEARN_ABOVE = 1.5
 """Speed from which the disturbance is estimated; at lower speeds the model is inaccurate [m/s]."""
@@ -44,20 +44,17 @@ MAX_DISTURBANCE = (3.0, 0.05, 1.5, 0.5, 0.0)
 ACCELERATION_GAIN = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration in a tick."""
 
-LEVEL_TIME, MAX_LEVEL = 1.0, 4.0
-"""Time constant of the level of noise [s], and the largest level of a single tick."""
-
 ACCELERATION_FADE = 1.0
 """Time constant with which the acceleration is predicted to fade [s]."""
 
-INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, NOISE_LEVEL, BEFORE = 0, 1, 3, 4, 5, 6, 7
+INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, LEVEL, BEFORE = 0, 1, 3, 4, 5, 6, 10
 
-DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 8, 13, 17, 18
+DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 11, 16, 20, 21
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
-the last tick, estimated acceleration, whether a state is predicted, level of noise (the mean of
-what `correct` returns), the command before the oldest one that is stored, disturbance (5,),
-predicted state (5,), whose last number is the road-wheel angle, and the stored commands, the newest
-last (at least n + 1,): those in the delay, and more where the delay may become longer."""
+the last tick, estimated acceleration, whether a state is predicted, levels of the state filter
+(4,), the command before the oldest one that is stored, disturbance (5,), predicted state (5,),
+whose last number is the road-wheel angle, and the stored commands, the newest last (at least
+n + 1,): those in the delay, and more where the delay may become longer."""
 
 
 class PathPosition(NamedTuple):
@@ -134,9 +131,9 @@ def update_estimates(
         return
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
     if v_x >= LEARN_ABOVE:
-        level = correct(numbers, v_x, memory[NOISE_LEVEL], x, expected, disturbance)
-        change = min(level, MAX_LEVEL) - memory[NOISE_LEVEL]
-        memory[NOISE_LEVEL] += min(T / LEVEL_TIME, 1.0) * change
+        level = memory[LEVEL:BEFORE]
+        correct(numbers, v_x, level, x, expected, disturbance)
+        update_level(numbers, expected, T, level)
     else:
         for i in range(MEASURED):
             disturbance[i] -= DISTURBANCE_GAIN[i] * disturbance[i]
