@@ -29,9 +29,9 @@ LEAST_SHARE, GAINS = MEASURED, MEASURED + 1
 """Positions in `filter_numbers`, after the noise levels: least share, gains."""
 LEAST_NOISE = 1e-4
 """Least standard deviation of a measurement [unit of the state]."""
-MODEL_NOISE = (0.1, 0.006, 0.06, 0.03)
+MODEL_NOISE = (0.05, 0.004, 0.05, 0.08)
 """Rate of change that the model does not explain, white [unit of the state / s^0.5]."""
-DISTURBANCE_NOISE = (3.0, 0.002, 2.0, 0.01)
+DISTURBANCE_NOISE = (1.0, 0.0015, 1.5, 0.03)
 """Random walk of the rate that the model does not explain [unit of the state / s^1.5]. Heading and
 cross-track error are integrals of the other states: more here would read a late steering actuator
 as a disturbance."""
