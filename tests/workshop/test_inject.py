@@ -211,13 +211,13 @@ def test_the_command_writes_numbers_and_a_picture(
     ]
     assert content["cells"][0]["max_error"] == cell(names[0]).max_error
     assert content["faults"][names[1]] == {"kind": "path_shift", "duration": 3.0, "amount": 2.0}
-    assert "| path 2 m aside | 2.19 m, 3.1 s |" in (tmp_path / "faults.md").read_text("utf-8")
+    assert "| path 2 m aside | 2.17 m, 3.2 s |" in (tmp_path / "faults.md").read_text("utf-8")
     assert (tmp_path / "faults.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_car_that_is_lost_makes_the_command_fail(tmp_path: Path) -> None:
-    given = ["--controller", "classic", "--faults", "pose frozen for 2 s"]
-    assert main([*given, "--scenarios", "sc2", "--output", str(tmp_path)]) == 1
+def test_a_car_that_does_not_recover_makes_the_command_fail(tmp_path: Path) -> None:
+    given = ["--controller", "classic", "--faults", "position drifts by 1 m"]
+    assert main([*given, "--scenarios", "sc1", "--output", str(tmp_path)]) == 1
     assert "not allowed" in (tmp_path / "faults.md").read_text("utf-8")
 
 
