@@ -61,6 +61,13 @@ class Controller:
     def hold_estimates(self) -> None:
         """Keep all estimates in the next step, whose state is predicted; by default none exist."""
 
+    def expect_after(self, ticks: int) -> None:
+        """Expect the next state to be the first measured one for some ticks; see `PreviewMpc`."""
+
+    def disturbance(self, v_x: float) -> tuple[float, float]:
+        """Return the accelerations beyond the model at a speed [m/s^2, rad/s^2]; by default 0."""
+        return 0.0, 0.0
+
     def use_steering(self, delay: float, lag: float, caution: float) -> None:
         """Use an estimated steering actuator in the model; by default there is none.
 

@@ -147,7 +147,7 @@ def test_one_correction_is_that_of_the_equations(v: float) -> None:
     x, expected, d = np.array(NOISE) * rng.standard_normal((3, MEASURED))
     innovation = x - expected - d
     estimate, learnt = expected + d + K[:MEASURED] @ innovation, d + K[MEASURED:] @ innovation
-    correct(numbers, v, levels(1.0), x, expected, d)
+    correct(numbers, v, levels(1.0), 1.0, x, expected, d)
     np.testing.assert_allclose(x, estimate, atol=1e-12)
     np.testing.assert_allclose(d, learnt, atol=1e-12)
     np.testing.assert_allclose(expected, innovation)
@@ -189,7 +189,7 @@ def test_without_noise_level_the_measured_state_is_unchanged_bit_for_bit() -> No
     for scale in (1e-9, 1.0, 100.0):
         x, expected, d = scale * rng.standard_normal((3, MEASURED))
         before, innovation, earlier = x.copy(), x - (expected + d), d.copy()
-        correct(numbers, 9.0, levels(0.0), x, expected, d)
+        correct(numbers, 9.0, levels(0.0), 1.0, x, expected, d)
         assert x.tobytes() == before.tobytes()
         np.testing.assert_allclose(d, earlier + np.array(DISTURBANCE_GAIN) * innovation)
 
@@ -201,7 +201,7 @@ def test_without_noise_of_the_pose_there_is_no_filter() -> None:
     x, expected, d = np.random.default_rng(3).standard_normal((3, MEASURED))
     before = x.copy()
     level = levels(0.0)
-    correct(numbers, 9.0, level, x, expected, d)
+    correct(numbers, 9.0, level, 1.0, x, expected, d)
     update_level(numbers, expected, T, level)
     assert not level.any()
     assert x.tobytes() == before.tobytes()
@@ -298,7 +298,9 @@ def errors_of_straight_drive(lag: float, seed: int, **noise: Any) -> tuple[Array
         if last[EXPECTS]:
             x = np.array([state.v_y, math.sin(state.yaw), state.yaw_rate, state.y])
             numbers = steers.model_row[-len(filter_numbers(*arguments(steers, lag, **noise))) :]
-            correct(numbers, state.v_x, last[LEVEL:BEFORE], x, last[EXPECTED:], last[DISTURBANCE:])
+            correct(
+                numbers, state.v_x, last[LEVEL:BEFORE], 1.0, x, last[EXPECTED:], last[DISTURBANCE:]
+            )
             estimated.append(x - (actual.v_y, math.sin(actual.yaw), actual.yaw_rate, actual.y))
             measured.append(error)
         simulation.advance(plan.steering, 15.0, NANOSECONDS // 10)
@@ -327,8 +329,9 @@ def test_a_jump_is_used_as_measured_and_is_no_disturbance(
 ) -> None:
     numbers = filter_numbers(BICYCLE, ACTUATOR, T, NOISE, 0.0)
     x, expected, d = np.zeros((3, MEASURED))
+    jump *= math.sqrt(max(noise_level, 1.0))  # beyond the noise there is
     x[state] = jump
-    correct(numbers, 9.0, levels(noise_level), x, expected, d)
+    correct(numbers, 9.0, levels(noise_level), 1.0, x, expected, d)
     assert x[state] == jump
     assert np.count_nonzero(x) == 1
     assert not d.any()
@@ -340,7 +343,7 @@ def test_a_yaw_rate_that_no_noise_explains_is_used_without_filter(change: float)
     x, expected, d = np.zeros((3, MEASURED))
     x[:] = 0.01, 0.005, change, 0.03
     before = x.copy()
-    correct(numbers, 9.0, levels(1.0), x, expected, d)
+    correct(numbers, 9.0, levels(1.0), 1.0, x, expected, d)
     assert x.tobytes() == before.tobytes()
     np.testing.assert_allclose(d, np.array(DISTURBANCE_GAIN) * before)
 

@@ -4,7 +4,12 @@ import math
 
 import numpy as np
 
-from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
+from ampc_msgs_config.parameters import (
+    MIN_SPEED,
+    ChassisParameters,
+    ControllerSettings,
+    SteeringParameters,
+)
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.controller_interface import Controller, Estimates
@@ -21,6 +26,7 @@ from ampc_ros.mpc.internal_model import (
 )
 from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.mpc.small_matrices import make_scratch
+from ampc_ros.preview.model import unmodelled_accelerations
 from ampc_ros.preview.state_filter import LEAST_SHARE, filter_numbers, noise_of
 from ampc_ros.preview.tick import (
     ACCELERATION,
@@ -145,6 +151,20 @@ class PreviewMpc(Controller):
         """
         self.memory[EXPECTS], self.last_ns = 0.0, None
 
+    def expect_after(self, ticks: int) -> None:
+        """Learn the error of the next state as one of several ticks."""
+        if self.memory[EXPECTS]:
+            self.memory[EXPECTS] = ticks
+
+    def disturbance(self, v_x: float) -> tuple[float, float]:
+        """Return the accelerations of the estimated disturbance [m/s^2, rad/s^2]."""
+        change = self.memory[DISTURBANCE:EXPECTED]
+        if v_x < MIN_SPEED or not change.any():
+            return 0.0, 0.0
+        self.scratch.used[0] = 0
+        vehicle, T = self.model.vehicle, self.period
+        return unmodelled_accelerations(vehicle, v_x, T, change, self.scratch)
+
     def use_steering(self, delay: float, lag: float, caution: float) -> None:
         """Use an estimated delay and lag of the steering, and a least share of the filter."""
         self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(delay, lag, self.period)
@@ -153,8 +173,9 @@ class PreviewMpc(Controller):
         self.model = unpack_internal_model(self.model_row)
 
     def distrust_noise(self) -> None:
-        """Use the next state without filter, unless the lag of the steering is not configured."""
+        """Use the next state without filter."""
         self.memory[LEVEL:BEFORE] = 0.0
+        self.model_row[ROW_SIZE + LEAST_SHARE] = 0.0  # until `use_steering`
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

@@ -91,10 +91,10 @@ def sample_model(
 
 
 @in_place
-def side_acceleration(
+def unmodelled_accelerations(
     vehicle: BicycleParameters, v_x: float, T: float, change: Array, scratch: Scratch
-) -> float:
-    """Return the lateral acceleration that explains an unmodelled change of v_y and r [m/s^2].
+) -> tuple[float, float]:
+    """Return the accelerations that explain an unmodelled change of v_y and r [m/s^2, rad/s^2].
 
     A constant side force and yaw moment act against the damping of the tyres: they change the state
     by the integral of e^(A t) over the step, not by T.
@@ -114,7 +114,17 @@ def side_acceleration(
     exponential_integrals(D, T, G, scratch)
     scratch.used[0] = begin
     determinant = G[1, 0, 0] * G[1, 1, 1] - G[1, 0, 1] * G[1, 1, 0]
-    return float((G[1, 1, 1] * change[V_Y] - G[1, 0, 1] * change[YAW_RATE]) / determinant)
+    lateral = (G[1, 1, 1] * change[V_Y] - G[1, 0, 1] * change[YAW_RATE]) / determinant
+    yaw = (G[1, 0, 0] * change[YAW_RATE] - G[1, 1, 0] * change[V_Y]) / determinant
+    return lateral, yaw
+
+
+@in_place
+def side_acceleration(
+    vehicle: BicycleParameters, v_x: float, T: float, change: Array, scratch: Scratch
+) -> float:
+    """Return the lateral one of `unmodelled_accelerations` [m/s^2]."""
+    return float(unmodelled_accelerations(vehicle, v_x, T, change, scratch)[0])
 
 
 understeer_gradient = in_place(parameters.understeer_gradient)

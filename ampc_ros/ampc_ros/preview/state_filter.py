@@ -42,8 +42,8 @@ LEAST_LEVEL, FULL_LEVEL = 0.15, 0.75
 noise, from which the filter acts, and acts fully. White noise of that level causes 1.2 to 3."""
 LEAST_BIAS, FULL_BIAS = 0.3, 0.9
 """Product of successive innovations from which the filter acts less, and not at all."""
-LEVEL_TIME, MAX_LEVEL = 1.0, 4.0
-"""Time constant of both levels [s], and the largest level of a single step."""
+LEVEL_TIME, MAX_LEVEL, MAX_BIAS = 1.0, 8.0, 4.0
+"""Time constant of both levels [s], and the largest noise and bias of a single step."""
 NOISE, BIAS, LEVEL_SIZE = 2, 3, 4
 """Positions in the levels, after the innovations of heading and cross-track error."""
 OUTLIER_LEVEL = 16.0
@@ -171,8 +171,8 @@ def update_level(numbers: Array, innovation: Array, T: float, level: Array) -> N
     noise, bias, gain, squared = 0.0, 0.0, min(T / LEVEL_TIME, 1.0), 0.0
     for i in (E_PSI, E_Y):
         squared += 0.5 * (innovation[i] / numbers[i]) ** 2
-    if squared > OUTLIER_LEVEL:  # a single jump is no noise; lasting ones are
-        level[NOISE] += OUTLIER_SHARE * gain * (MAX_LEVEL - level[NOISE])
+    if squared > OUTLIER_LEVEL * max(level[NOISE], 1.0):  # a jump is no noise; lasting ones are
+        level[NOISE] += OUTLIER_SHARE * gain * max(MAX_BIAS - level[NOISE], 0.0)
         return
     for k in range(2):
         i = E_PSI if k == 0 else E_Y
@@ -183,12 +183,18 @@ def update_level(numbers: Array, innovation: Array, T: float, level: Array) -> N
     level[NOISE] += gain * (min(noise, MAX_LEVEL) - level[NOISE])
     if abs(innovation[YAW_RATE]) > LARGEST_YAW_CHANGE:
         level[NOISE] = 0.0
-    level[BIAS] += gain * (min(bias, MAX_LEVEL) - level[BIAS])
+    level[BIAS] += gain * (min(bias, MAX_BIAS) - level[BIAS])
 
 
 @in_place
 def correct(
-    numbers: Array, v_x: float, level: Array, x: Array, expected: Array, disturbance: Array
+    numbers: Array,
+    v_x: float,
+    level: Array,
+    ticks: float,
+    x: Array,
+    expected: Array,
+    disturbance: Array,
 ) -> None:
     """Replace a measured state by its estimate, and update the estimated disturbance.
 
@@ -196,6 +202,7 @@ def correct(
         numbers: `filter_numbers`.
         v_x: Speed [m/s].
         level: Levels, see `filter_share`; without noise the measured state is kept.
+        ticks: Number of ticks since the last measured state.
         x: Measured state (>= 4,), changed in place.
         expected: State that the model predicts without disturbance (>= 4,); receives the
             innovation.
@@ -214,7 +221,7 @@ def correct(
         squared += 0.5 * (expected[i] / numbers[i]) ** 2
     if abs(expected[YAW_RATE]) > LARGEST_YAW_CHANGE:
         share = 0.0
-    elif squared > OUTLIER_LEVEL:
+    elif squared > OUTLIER_LEVEL * max(level[NOISE], 1.0):
         if share > 0.0 and level[NOISE] < LASTING_LEVEL:
             return
         share = 0.0
@@ -226,4 +233,4 @@ def correct(
             learnt += (slow[below] + place * (fast[below] - slow[below])) * expected[j]
         x[i] += share * (change - expected[i])
         unfiltered = DISTURBANCE_GAIN[i] * expected[i]
-        disturbance[i] += unfiltered + share * (learnt - unfiltered)
+        disturbance[i] += (unfiltered + share * (learnt - unfiltered)) / ticks

@@ -51,7 +51,8 @@ INDEX, IN_USE, LAST_SPEED, ACCELERATION, EXPECTS, LEVEL, BEFORE = 0, 1, 3, 4, 5,
 
 DISTURBANCE, EXPECTED, STATE_DELTA, SENT = 11, 16, 20, 21
 """Positions in the controller's memory: index on the path, node of the gain table (2,), speed at
-the last tick, estimated acceleration, whether a state is predicted, levels of the state filter
+the last tick, estimated acceleration, ticks since the last measured
+state (0: no state is expected), levels of the state filter
 (4,), the command before the oldest one that is stored, disturbance (5,), predicted state (5,),
 whose last number is the road-wheel angle, and the stored commands, the newest last (at least
 n + 1,): those in the delay, and more where the delay may become longer."""
@@ -132,7 +133,7 @@ def update_estimates(
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
     if v_x >= LEARN_ABOVE:
         level = memory[LEVEL:BEFORE]
-        correct(numbers, v_x, level, x, expected, disturbance)
+        correct(numbers, v_x, level, memory[EXPECTS], x, expected, disturbance)
         update_level(numbers, expected, T, level)
     else:
         for i in range(MEASURED):

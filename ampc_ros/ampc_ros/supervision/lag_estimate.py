@@ -1,7 +1,9 @@
 """Estimation of an unknown lag of the steering from the yaw rate, while the car is driven."""
 
+import numpy as np
+
 from ampc_msgs_config.parameters import ASSUMED_LAG
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.mpc.internal_model import LARGEST_LAG, SHORT_LAG
 from ampc_ros.supervision.state_prediction import StatePredictor
 
@@ -15,6 +17,9 @@ START_DEVIATION = 0.06
 """Standard deviation of the assumed lag [s]."""
 WALK = 0.004
 """Random walk of the lag [s / s^0.5]."""
+ERROR_DEVIATION, ERROR_WALK = 0.5, 0.05
+"""Standard deviation of the constant error at the start [rad/s^2], and its random walk [... /
+s^0.5]."""
 DEVIATION, DEVIATION_SHARE = 0.03, 0.1
 """Standard deviation of a predicted yaw rate: noise [rad/s], and share of the yaw rate, for model
 errors."""
@@ -27,16 +32,19 @@ MOST_RESIDUAL = 0.3
 
 
 class LagEstimate:
-    """Recursive least squares for one parameter: which lag predicts the measured yaw rate.
+    """Recursive least squares: which lag, and which constant error, predict the yaw rate.
 
     Ljung, "System Identification", 2nd edition, Section 11.4: prediction-error method, where the
-    gradient is the difference of two predictions.
+    gradient is the difference of two predictions. The constant error is that of a misaligned wheel
+    or of side wind, which would otherwise be read as a lag.
     """
 
     def __init__(self, delay: float) -> None:
         """Start with the assumed lag, after a configured delay [s]."""
         self.delay = delay
-        self.lag, self.variance = ASSUMED_LAG, START_DEVIATION**2
+        self.lag, self.error = ASSUMED_LAG, 0.0
+        """Lag [s], and the constant error of the predicted yaw acceleration [rad/s^2]."""
+        self.covariance: Array = np.diag(np.square((START_DEVIATION, ERROR_DEVIATION)))
         self.anchor: VehicleState | None = None
 
     @property
@@ -45,9 +53,14 @@ class LagEstimate:
 
         An uncertain lag, or a long one, which is rather a delay, needs the margin of the filter.
         """
-        uncertain = self.variance / START_DEVIATION**2
+        uncertain = float(self.covariance[0, 0]) / START_DEVIATION**2
         long = (self.lag - SHORT_LAG) / (LONG_LAG - SHORT_LAG)
         return min(max(uncertain, long), 1.0)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the car was driven enough for an estimate."""
+        return bool(self.covariance[0, 0] < 0.5 * START_DEVIATION**2)
 
     @property
     def steering(self) -> tuple[float, float]:
@@ -69,6 +82,8 @@ class LagEstimate:
             return
         anchor, self.anchor = self.anchor, state
         fast = state.v_x * abs(state.yaw_rate) > MOST_ACCELERATION
+        if state.yaw_rate == anchor.yaw_rate:  # a sensor that is stuck, or a straight road
+            return
         if not 0.0 < elapsed <= LONGEST or state.v_x < SLOWEST or fast:
             return
         self._update(anchor, state, predictor, elapsed)
@@ -79,14 +94,17 @@ class LagEstimate:
         """Correct the estimate by the residual of the prediction from an earlier state."""
         expected = self._yaw_rate(anchor, state.stamp_ns, predictor, self.lag)
         shifted = self._yaw_rate(anchor, state.stamp_ns, predictor, self.lag + DIFFERENCE)
-        gradient, residual = (shifted - expected) / DIFFERENCE, state.yaw_rate - expected
+        phi = np.array([(shifted - expected) / DIFFERENCE, elapsed])
+        residual = state.yaw_rate - expected - self.error * elapsed
         if abs(residual) > MOST_RESIDUAL:
             return
         noise = DEVIATION**2 + (DEVIATION_SHARE * state.yaw_rate) ** 2
-        self.variance = min(self.variance + WALK**2 * elapsed, START_DEVIATION**2)
-        gain = self.variance * gradient / (gradient**2 * self.variance + noise)
-        self.lag = min(max(self.lag + gain * residual, 0.0), LARGEST_LAG)
-        self.variance *= 1.0 - gain * gradient
+        P = self.covariance + np.diag(np.square((WALK, ERROR_WALK)) * elapsed)
+        P[0, 0] = min(P[0, 0], START_DEVIATION**2)
+        gain = P @ phi / (phi @ P @ phi + noise)
+        self.covariance = P - np.outer(gain, phi @ P)
+        self.lag = float(min(max(self.lag + gain[0] * residual, 0.0), LARGEST_LAG))
+        self.error += float(gain[1] * residual)
 
     def _yaw_rate(
         self, anchor: VehicleState, end_ns: int, predictor: StatePredictor, lag: float

@@ -37,6 +37,10 @@ class CarModel(NamedTuple):
     friction: float
     lag: float
     """Time constant of the steering [s]."""
+    lateral: float
+    """Unmodelled lateral acceleration [m/s^2]."""
+    yaw: float
+    """Unmodelled yaw acceleration [rad/s^2]."""
 
 
 class Motion(NamedTuple):
@@ -95,7 +99,8 @@ def advance_car(
             if v >= MODEL_ABOVE:
                 front = axle_force(2 * C_f, load * l_r, q - (u + l_f * w) / v)
                 rear = axle_force(2 * C_r, load * l_f, (l_r * w - u) / v)
-                dv, dr = (front + rear) / m - v * w, (l_f * front - l_r * rear) / I_z
+                dv = (front + rear) / m - v * w + model.lateral
+                dr = (l_f * front - l_r * rear) / I_z + model.yaw
             heading, middle_v, middle_r = yaw + half * w, u, w
             u, w = v_y + half * dv, r + half * dr
             q = command + (steering - command) * (keep if half < h else keep * keep)
@@ -112,6 +117,8 @@ class StatePredictor:
         """Create the model of a configuration; `steering` is the angle in force [rad]."""
         self._to_cg = config.base_link_to_cg
         self.use_steering(config.steering.delay, config.steering.time_constant)
+        self.disturbance = 0.0, 0.0
+        """Unmodelled lateral [m/s^2] and yaw acceleration [rad/s^2]."""
         unknown = 0.0 if config.steering.is_lag_configured else LARGEST_LAG
         longest = config.settings.state_prediction + unknown
         self._history_ns = round(longest * NANOSECONDS) + self._delay_ns + self._settling_ns
@@ -166,7 +173,7 @@ class StatePredictor:
         if end_ns <= state.stamp_ns:
             return state
         car = at_distance(state, self._to_cg)
-        model = CarModel(self._vehicle, self._friction, self._lag)
+        model = CarModel(self._vehicle, self._friction, self._lag, *self.disturbance)
         motion = Motion(*car[1:], self._wheel(state.stamp_ns))
         for command, elapsed in self._commands(state.stamp_ns, end_ns):
             motion = Motion(*advance_car(model, motion, command, elapsed))

@@ -75,7 +75,7 @@ class Supervisor:
         self._points: Array | None = None
         self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
-        self._answered_ns, self._is_repeated = -1, False
+        self._answered_ns, self._first_ns, self._repeats = -1, 0, 0
         self._predictor = StatePredictor(config, 0.0)
         self._lag = LagEstimate(config.steering.delay)
         self._install(config, build_controller(config, source), 0.0)
@@ -427,8 +427,9 @@ class Supervisor:
 
     @property
     def estimated_lag(self) -> float:
-        """Delay and lag of the steering in total, where the lag is not configured [s]; else nan."""
-        return math.nan if self.config.steering.is_lag_configured else sum(self._lag.steering)
+        """Delay and lag of the steering in total [s]; nan: configured, or not known yet."""
+        is_estimated = self._lag.is_known and not self.config.steering.is_lag_configured
+        return sum(self._lag.steering) if is_estimated else math.nan
 
     def _use_lag(self) -> None:
         """Use the estimated lag of the steering where none is configured."""
@@ -440,21 +441,30 @@ class Supervisor:
     def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
         """Return the state at the time of the tick.
 
-        The estimates wait for two new measurements: the error of a prediction over several ticks is
-        no disturbance of a single tick.
+        The error of a prediction over several ticks is learnt as that of so many ticks.
         """
-        was_repeated, self._is_repeated = self._is_repeated, state.stamp_ns == self._answered_ns
-        if self._is_repeated or was_repeated:
+        is_new, is_measured = state.stamp_ns != self._answered_ns, math.isnan(self._yaw_rate)
+        if is_new:
+            self.controller.expect_after(self._repeats + 1)
+            self._repeats, self._answered_ns, self._first_ns = 0, state.stamp_ns, now_ns
+        else:
             self.controller.hold_estimates()
-        is_new, is_measured = not self._is_repeated, math.isnan(self._yaw_rate)
+            self._repeats += 1
+        disturbance = self.controller.disturbance(state.v_x)
         if is_new and is_measured and not self.config.steering.is_lag_configured:
             self._lag.observe(state, self._predictor)
             self._use_lag()
-        self._answered_ns = state.stamp_ns
-        if not math.isnan(self._yaw_rate):  # the slope of the heading replaces the yaw rate
+        if not is_measured:  # the slope of the heading replaces the yaw rate
             self.controller.distrust_noise()
+        # The estimated disturbance acts from the first answer on: an earlier one would feed back
         longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
-        return self._predictor.predict(state, min(now_ns, state.stamp_ns + longest_ns))
+        last_ns = min(now_ns, state.stamp_ns + longest_ns)
+        self._predictor.disturbance = 0.0, 0.0
+        answered = self._predictor.predict(state, min(self._first_ns, last_ns))
+        self._predictor.disturbance = disturbance
+        present = self._predictor.predict(answered, last_ns)
+        self._predictor.disturbance = 0.0, 0.0
+        return present
 
     def _monitor(self, state: VehicleState, location: Location) -> int:
         """Return the reason for a stop that state and path give, or NO_REASON."""
