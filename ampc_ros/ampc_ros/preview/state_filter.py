@@ -3,8 +3,10 @@
 The filter corrects the prediction of the internal model by a share of its innovation, the
 difference between measurement and prediction. The gains are computed once for a grid of speeds from
 the noise of the settings. They are used as far as the innovations show noise: a clean measurement
-is used as it is, without delay. Where the lag of the steering is not configured they are always
-used, because the unfiltered loop has less margin of delay.
+is used as it is, without delay. An innovation that stays the same is no noise but the error of
+another state: the filter would integrate it. Where the lag of the steering is not configured, the
+filter also acts as long as the lag is uncertain, or long, because the unfiltered loop has less
+margin of delay.
 """
 
 import math
