@@ -47,6 +47,12 @@ from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.state_prediction import StatePredictor
 
+STEADY_TIME = 3.0
+"""Time over which the disturbance is averaged that acts while there is no state: what the tyres do
+in a fast manoeuvre does not last [s]."""
+STEADY_ACCELERATION = 6.0
+"""Lateral acceleration up to which it is averaged [m/s^2]."""
+
 
 class Supervisor:
     """A controller with input checks, fallbacks and a guard."""
@@ -76,6 +82,7 @@ class Supervisor:
         self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         self._answered_ns, self._first_ns, self._repeats = -1, 0, 0
+        self._steady = 0.0, 0.0
         self._predictor = StatePredictor(config, 0.0)
         self._lag = LagEstimate(config.steering.delay)
         self._install(config, build_controller(config, source), 0.0)
@@ -447,21 +454,25 @@ class Supervisor:
         if is_new:
             self.controller.expect_after(self._repeats + 1)
             self._repeats, self._answered_ns, self._first_ns = 0, state.stamp_ns, now_ns
+            is_linear = state.v_x * abs(state.yaw_rate) < STEADY_ACCELERATION
+            share = min(self.period / STEADY_TIME, 1.0) if is_linear else 0.0
+            newest = self.controller.disturbance(state.v_x)
+            lateral, yaw = (a + share * (b - a) for a, b in zip(self._steady, newest, strict=True))
+            self._steady = lateral, yaw
         else:
             self.controller.hold_estimates()
             self._repeats += 1
-        disturbance = self.controller.disturbance(state.v_x)
         if is_new and is_measured and not self.config.steering.is_lag_configured:
             self._lag.observe(state, self._predictor)
             self._use_lag()
         if not is_measured:  # the slope of the heading replaces the yaw rate
             self.controller.distrust_noise()
-        # The estimated disturbance acts from the first answer on: an earlier one would feed back
+        # The steady disturbance acts from the first answer on: an earlier one would feed back
         longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
         last_ns = min(now_ns, state.stamp_ns + longest_ns)
         self._predictor.disturbance = 0.0, 0.0
         answered = self._predictor.predict(state, min(self._first_ns, last_ns))
-        self._predictor.disturbance = disturbance
+        self._predictor.disturbance = self._steady
         present = self._predictor.predict(answered, last_ns)
         self._predictor.disturbance = 0.0, 0.0
         return present
