@@ -18,8 +18,8 @@ START_DEVIATION = 0.06
 WALK = 0.004
 """Random walk of the lag [s / s^0.5]."""
 ERROR_DEVIATION, ERROR_WALK = 0.5, 0.05
-"""Standard deviation of the constant error at the start [rad/s^2], and its random walk [... /
-s^0.5]."""
+"""Standard deviation of the constant error at the start [rad/s^2], and its random walk
+[rad/s^2 / s^0.5]."""
 DEVIATION, DEVIATION_SHARE = 0.03, 0.1
 """Standard deviation of a predicted yaw rate: noise [rad/s], and share of the yaw rate, for model
 errors."""
