@@ -162,6 +162,10 @@ class ControllerSettings(Checked):
         float,
         number(-1.0, 10.0, "m", "Noise of the path's points; 0: none; -1: estimated from them."),
     ] = -1.0
+    adaptation: Annotated[
+        bool,
+        described("Estimate and use what differs from the configured car; formulation `preview`."),
+    ] = True
     position_noise: Annotated[
         float, number(0.0, 10.0, "m", "Noise of odometry's position, for the state filter.")
     ] = 0.05

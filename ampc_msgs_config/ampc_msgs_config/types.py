@@ -204,6 +204,12 @@ class TickRecord(NamedTuple):
     """1 while the solver is made to fail by fault injection."""
     corrected_yaw_rate: float = math.nan
     """Yaw rate used instead of one that contradicts the heading; nan: the measured one [rad/s]."""
+    steering_latency: float = math.nan
+    """Delay and lag of the steering that the controller assumes, in total [s]."""
+    understeer_gradient: float = math.nan
+    """Understeer gradient that it assumes [rad s^2/m]."""
+    steering_offset: float = math.nan
+    """Estimated road-wheel angle at a commanded angle of zero [rad]."""
 
     @property
     def quantities(self) -> tuple[float, ...]:

@@ -51,6 +51,19 @@ class Choices(NamedTuple):
     """Time that goes back means a simulated car at its start."""
 
 
+class CarDifference(NamedTuple):
+    """Estimated differences from the configured car."""
+
+    latency: Annotated[float, number(-10.0, 10.0, "s")] = 0.0
+    """Difference of the total latency of the steering [s]."""
+    understeer_gradient: Annotated[float, number(-1.0, 1.0, "rad s^2/m")] = 0.0
+    """Difference of the understeer gradient [rad s^2/m]."""
+    steering_offset: Annotated[float, number(-1.0, 1.0, "rad")] = 0.0
+    """Road-wheel angle at a commanded angle of zero [rad]."""
+    rear_stiffness: Annotated[float, number(-5.0, 5.0)] = 0.0
+    """Natural logarithm of the ratio of the rear cornering stiffnesses."""
+
+
 class Configuration(NamedTuple):
     """Values of all choices, loaded and checked."""
 
@@ -66,6 +79,8 @@ class Configuration(NamedTuple):
     """Distance from the point of `odom` forward to the centre of gravity [m]."""
     static_path: bool
     simulated_time: bool
+    difference: CarDifference | None = None
+    """Differences with which the adaptation starts; None: it continues, at first from zero."""
 
     @property
     def max_angle(self) -> float:
@@ -73,7 +88,8 @@ class Configuration(NamedTuple):
         return min(self.settings.max_angle, self.steering.max_angle)
 
 
-LATER = {
+LATER: dict[str, Any] = {
+    "adaptation": False,
     "end_deceleration": math.inf,
     "state_prediction": 0.0,
     "position_noise": 0.0,
@@ -170,7 +186,9 @@ def to_yaml(config: Configuration, number: int) -> str:
         number: Number of the configuration in its run; each tick refers to it.
     """
     items = config._asdict().items()
-    return document({key: asdict(v) if key in PARTS else v for key, v in items}, number)
+    content: dict[str, Any] = {key: asdict(v) if key in PARTS else v for key, v in items}
+    difference = config.difference and config.difference._asdict()
+    return document({**content, "difference": difference}, number)
 
 
 def from_yaml(text: str, where: str) -> tuple[Configuration, int]:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import Array, Plan, VehicleState
+from ampc_ros.assumed_car import AssumedCar
 
 
 class Estimates(NamedTuple):
@@ -68,14 +69,8 @@ class Controller:
         """Return the accelerations beyond the model at a speed [m/s^2, rad/s^2]; by default 0."""
         return 0.0, 0.0
 
-    def use_steering(self, delay: float, lag: float, caution: float) -> None:
-        """Use an estimated steering actuator in the model; by default there is none.
-
-        Args:
-            delay: Pure delay [s].
-            lag: Time constant [s].
-            caution: Share of the state filter that is used also without noise, 0 to 1.
-        """
+    def use_car(self, car: AssumedCar) -> None:
+        """Use another car in the model, which has been estimated; by default it is ignored."""
 
     def distrust_noise(self) -> None:
         """Expect other noise than configured in the next state; by default it is ignored."""

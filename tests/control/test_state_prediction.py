@@ -35,6 +35,7 @@ from ampc_ros.mpc.model import DELTA, STATES, zero_order_hold
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.tick import ACCELERATION, BEFORE, DISTURBANCE, EXPECTED
 from ampc_ros.supervision import state_prediction, warm_up
+from ampc_ros.supervision.command_history import CommandHistory
 from ampc_ros.supervision.fallback import (
     NO_REASON,
     OFF_PATH,
@@ -42,6 +43,7 @@ from ampc_ros.supervision.fallback import (
     STATE_LATE,
     STATE_LOST,
 )
+from ampc_ros.supervision.present_state import longest_history_ns
 from ampc_ros.supervision.state_prediction import MODEL_ABOVE, StatePredictor
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
@@ -134,13 +136,18 @@ def at_end(rate: Callable[..., Any], span: tuple[float, float], z: Any) -> Array
     return np.asarray(solve_ivp(rate, (begin, end), z, rtol=1e-9, atol=1e-10).y[:, -1])
 
 
+def predictor_of(config: Configuration, steering: float) -> StatePredictor:
+    """Return a predictor with an angle in force [rad]."""
+    return StatePredictor(config, CommandHistory(steering, longest_history_ns(config)))
+
+
 def predictor_after(
     config: Configuration, commands: list[tuple[int, float]], before: float | None = None
 ) -> StatePredictor:
     """Return a predictor after commands (time [ns], angle); the first one holds before."""
-    predictor = StatePredictor(config, commands[0][1] if before is None else before)
+    predictor = predictor_of(config, commands[0][1] if before is None else before)
     for time_ns, angle in commands:
-        predictor.store(angle, time_ns)
+        predictor.commands.store(angle, time_ns)
     return predictor
 
 
@@ -189,8 +196,8 @@ def test_small_motions_are_those_of_the_linear_model(v_x: float, lag: float) -> 
     config = with_steering(made_for(), lag=lag)._replace(base_link_to_cg=0.0)
     before, after, elapsed = 2e-4, -3e-4, 0.4
     state = VehicleState(START_NS, 0.0, 1e-3, 1e-4, v_x, 2e-3, -1e-3)
-    predictor = StatePredictor(config, before)
-    predictor.store(after, START_NS)
+    predictor = predictor_of(config, before)
+    predictor.commands.store(after, START_NS)
     predicted = predictor.predict(state, START_NS + round(elapsed * NANOSECONDS))
     A, B = np.zeros((STATES, STATES)), np.zeros(STATES)
     vehicle = tuple(vars(config.chassis).values())
@@ -271,8 +278,8 @@ def test_every_car_is_predicted_finite(
     chassis = ChassisParameters(**values)
     config = with_settings(made_for(), friction=friction)._replace(chassis=chassis)
     steering = SteeringParameters(max_angle=1.5, lag=lag, delay=2.0)
-    predictor = StatePredictor(config._replace(steering=steering), angle)
-    predictor.store(-angle, START_NS - NANOSECONDS)
+    predictor = predictor_of(config._replace(steering=steering), angle)
+    predictor.commands.store(-angle, START_NS - NANOSECONDS)
     state = DRIVING._replace(v_x=v_x, v_y=v_y, yaw_rate=v_y / 2)
     predicted = predictor.predict(state, START_NS + 3 * NANOSECONDS)
     assert np.isfinite(predicted).all()
@@ -290,7 +297,7 @@ def test_a_stiff_small_car_is_predicted_stably() -> None:
         front_cornering_stiffness=1.0e7,
         rear_cornering_stiffness=1.0e7,
     )
-    predictor = StatePredictor(made_for()._replace(chassis=chassis), 0.3)
+    predictor = predictor_of(made_for()._replace(chassis=chassis), 0.3)
     predicted = predictor.predict(DRIVING, START_NS + 3 * NANOSECONDS)
     assert np.isfinite(predicted).all()
 
@@ -300,10 +307,10 @@ def test_a_stiff_small_car_is_predicted_stably() -> None:
 
 def test_stored_commands_are_bounded() -> None:
     config = with_steering(made_for(), lag=0.1, delay=0.2)
-    predictor = StatePredictor(config, 0.0)
+    predictor = predictor_of(config, 0.0)
     for i in range(5000):
-        predictor.store(0.001 * (i % 7), START_NS + 10 * i * MS)
-        assert len(predictor._sent) <= 372  # (3 + 0.2 + 5 * 0.1) s at 100 Hz
+        predictor.commands.store(0.001 * (i % 7), START_NS + 10 * i * MS)
+        assert len(predictor.commands.sent) <= 402  # (3 + 0.2 + 0.3 + 5 * 0.1) s at 100 Hz
 
 
 @pytest.mark.parametrize("prediction", [0.5, 10.0])
@@ -316,20 +323,20 @@ def test_history_covers_the_longest_prediction(prediction: float) -> None:
     ]
     now_ns = commands[-1][0]
     state = DRIVING._replace(stamp_ns=now_ns - round(prediction * NANOSECONDS), v_x=5.0)
-    bounded, unbounded = (StatePredictor(config, commands[0][1]) for _ in range(2))
-    unbounded._history_ns = 10**18
+    bounded, unbounded = (predictor_of(config, commands[0][1]) for _ in range(2))
+    unbounded.commands.longest_ns = 10**18
     for time_ns, angle in commands:
-        bounded.store(angle, time_ns)
-        unbounded.store(angle, time_ns)
+        bounded.commands.store(angle, time_ns)
+        unbounded.commands.store(angle, time_ns)
     assert bounded.predict(state, now_ns) == unbounded.predict(state, now_ns)
 
 
 def test_a_command_at_the_same_time_replaces_the_earlier_one() -> None:
     commands = random_commands(4)
     once, twice = predictor_after(made_for(), commands), predictor_after(made_for(), commands)
-    once.store(0.1, commands[-1][0])
-    twice.store(-0.3, commands[-1][0])
-    twice.store(0.1, commands[-1][0])
+    once.commands.store(0.1, commands[-1][0])
+    twice.commands.store(-0.3, commands[-1][0])
+    twice.commands.store(0.1, commands[-1][0])
     end_ns = START_NS + 1500 * MS
     assert once.predict(DRIVING, end_ns) == twice.predict(DRIVING, end_ns)
 
@@ -341,9 +348,9 @@ def test_after_a_clock_that_was_set_back_the_newest_command_was_always_in_force(
     config = with_steering(made_for(), lag=0.1, delay=0.1)
     predictor, commands = predictor_after(config, random_commands(5)), random_commands(5)
     now_ns = commands[-1][0] - round(back * NANOSECONDS)
-    predictor.store(0.03, now_ns)
-    fresh = StatePredictor(config, commands[-1][1])
-    fresh.store(0.03, now_ns)
+    predictor.commands.store(0.03, now_ns)
+    fresh = predictor_of(config, commands[-1][1])
+    fresh.commands.store(0.03, now_ns)
     state = DRIVING._replace(stamp_ns=now_ns)
     for after_ns in (50 * MS, 300 * MS):
         assert predictor.predict(state, now_ns + after_ns) == fresh.predict(
@@ -354,13 +361,13 @@ def test_after_a_clock_that_was_set_back_the_newest_command_was_always_in_force(
 def test_a_corrected_command_is_predicted_as_if_it_had_been_sent() -> None:
     commands = random_commands(6)
     predictor = predictor_after(made_for(), commands)
-    predictor.correct(0.07)
+    predictor.commands.correct(0.07)
     sent = predictor_after(made_for(), [*commands[:-1], (commands[-1][0], 0.07)])
     end_ns = START_NS + 1500 * MS
     assert predictor.predict(DRIVING, end_ns) == sent.predict(DRIVING, end_ns)
-    empty = StatePredictor(made_for(), 0.2)
-    empty.correct(0.07)
-    expected = StatePredictor(made_for(), 0.07).predict(DRIVING, end_ns)
+    empty = predictor_of(made_for(), 0.2)
+    empty.commands.correct(0.07)
+    expected = predictor_of(made_for(), 0.07).predict(DRIVING, end_ns)
     assert empty.predict(DRIVING, end_ns) == expected
 
 
@@ -516,7 +523,7 @@ def test_what_is_predicted_with_is_the_command_after_the_guard() -> None:
     slow = replace(guard, max_rate=tuple(0.01 for _ in guard.max_rate))
     drive.supervisor.reconfigure(drive.supervisor.config._replace(guard=slow))
     records = drive.drive(20)
-    sent = drive.supervisor._predictor._sent
+    sent = drive.supervisor._present.commands.sent
     assert [each.steering for each in sent] == [each.command.steering for each in records]
     assert any(each.command.clipped for each in records)
     drive.supervisor.correct(0.01)
@@ -527,23 +534,23 @@ def test_a_new_configuration_keeps_the_history_of_commands() -> None:
     drive = OnWaves()
     drive.drive(20)
     state, now_ns = on_waves(1.5), START_NS + 2 * NANOSECONDS
-    before = drive.supervisor._predictor.predict(state, now_ns)
+    before = drive.supervisor._present.predictor.predict(state, now_ns)
     drive.supervisor.reconfigure(with_settings(drive.supervisor.config, max_increment=0.2))
-    assert drive.supervisor._predictor.predict(state, now_ns) == before
+    assert drive.supervisor._present.predictor.predict(state, now_ns) == before
     drive.supervisor.reconfigure(with_steering(drive.supervisor.config, delay=0.2))
-    assert drive.supervisor._predictor.predict(state, now_ns) != before
+    assert drive.supervisor._present.predictor.predict(state, now_ns) != before
 
 
 def test_a_restart_in_the_drive_keeps_the_history_of_commands() -> None:
     drive = OnWaves()
     drive.drive(20)
     state, now_ns = on_waves(1.5), START_NS + 2 * NANOSECONDS
-    before = drive.supervisor._predictor.predict(state, now_ns)
+    before = drive.supervisor._present.predictor.predict(state, now_ns)
     drive.supervisor.restart()
-    assert drive.supervisor._predictor.predict(state, now_ns) == before
+    assert drive.supervisor._present.predictor.predict(state, now_ns) == before
     drive.supervisor.restart(0.1)
-    expected = StatePredictor(drive.supervisor.config, 0.1).predict(state, now_ns)
-    assert drive.supervisor._predictor.predict(state, now_ns) == expected
+    expected = predictor_of(drive.supervisor.config, 0.1).predict(state, now_ns)
+    assert drive.supervisor._present.predictor.predict(state, now_ns) == expected
 
 
 @pytest.mark.parametrize("simulated", [False, True])
@@ -570,8 +577,8 @@ def test_after_a_clock_that_jumped_back_the_angle_in_force_is_predicted_with(
         break
     assert restarted
     in_force = 0.0 if simulated else angle
-    fresh = StatePredictor(config, in_force).predict(state, now_ns + 50 * MS)
-    assert supervisor._predictor.predict(state, now_ns + 50 * MS) == fresh
+    fresh = predictor_of(config, in_force).predict(state, now_ns + 50 * MS)
+    assert supervisor._present.predictor.predict(state, now_ns + 50 * MS) == fresh
 
 
 def test_warm_up_predicts_a_state(monkeypatch: pytest.MonkeyPatch) -> None:

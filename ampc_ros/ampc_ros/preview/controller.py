@@ -12,13 +12,13 @@ from ampc_msgs_config.parameters import (
 )
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
+from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.controller_interface import Controller, Estimates
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.internal_model import (
     ACTUATOR,
     LARGEST_LAG,
     ROW_SIZE,
-    SHORT_LAG,
     InternalModel,
     delayed,
     pack_internal_model,
@@ -76,7 +76,7 @@ class PreviewMpc(Controller):
         self.model_row = np.append(row, numbers)
         self.period = settings.sample_time
         self.table = table.table
-        unknown = 0.0 if steering.is_lag_configured else LARGEST_LAG - SHORT_LAG
+        unknown = LARGEST_LAG if settings.adaptation else 0.0
         ticks = self.most_ticks = math.ceil((steering.delay + unknown) / self.period - 1e-6)
         self.horizon = max(gains.prediction_horizon for gains in table.nodes) + ticks
         sizes = [(gains.prediction_horizon + ticks, *gains[1:3]) for gains in table.nodes]
@@ -165,17 +165,18 @@ class PreviewMpc(Controller):
         vehicle, T = self.model.vehicle, self.period
         return unmodelled_accelerations(vehicle, v_x, T, change, self.scratch)
 
-    def use_steering(self, delay: float, lag: float, caution: float) -> None:
-        """Use an estimated delay and lag of the steering, and a least share of the filter."""
-        self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(delay, lag, self.period)
+    def use_car(self, car: AssumedCar) -> None:
+        """Use another chassis, delay and lag, and a least share of the filter."""
+        self.model_row[: len(car.vehicle)] = car.vehicle
+        self.model_row[ACTUATOR : ACTUATOR + 3] = delayed(*car.response, self.period)
         if math.isfinite(self.model_row[ROW_SIZE]):  # otherwise there is no filter
-            self.model_row[ROW_SIZE + LEAST_SHARE] = caution
+            self.model_row[ROW_SIZE + LEAST_SHARE] = car.caution
         self.model = unpack_internal_model(self.model_row)
 
     def distrust_noise(self) -> None:
         """Use the next state without filter."""
         self.memory[LEVEL:BEFORE] = 0.0
-        self.model_row[ROW_SIZE + LEAST_SHARE] = 0.0  # until `use_steering`
+        self.model_row[ROW_SIZE + LEAST_SHARE] = 0.0  # until `use_car`
 
     def observe_steering(self, angle: float) -> None:
         """Replace the road-wheel angle predicted by the model with the measured one [rad].

@@ -1,6 +1,5 @@
 """Health of a supervised controller as a sentence and as numbers; without ROS."""
 
-import math
 from typing import NamedTuple
 
 from ampc_msgs_config.types import (
@@ -171,6 +170,4 @@ def health_numbers(supervisor: Supervisor, record: TickRecord | None) -> dict[st
     }
     noise = path_noise(supervisor)
     rough = {"path_noise": noise} if noise > 0 else {}
-    lag = supervisor.estimated_lag
-    estimated = {} if math.isnan(lag) else {"estimated_steering_lag": lag}
-    return {**values, **clips, **rejected, **replaced, **rough, **estimated}
+    return {**values, **clips, **rejected, **replaced, **rough}

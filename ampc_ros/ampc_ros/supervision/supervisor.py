@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ampc_msgs_config.frames import at_distance
+from ampc_msgs_config.parameters import understeer_gradient
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import (
     LIMITS,
-    NANOSECONDS,
+    OPTIMAL,
     SHIFTED_PLAN,
     STOP,
     Array,
@@ -21,9 +22,11 @@ from ampc_msgs_config.types import (
     TickRecord,
     VehicleState,
 )
+from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.controller_interface import Controller
+from ampc_ros.supervision.adaptation import Adaptation
 from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.fallback import (
     NO_REASON,
@@ -35,7 +38,6 @@ from ampc_ros.supervision.fallback import (
     FallbackChain,
 )
 from ampc_ros.supervision.guard import Guard
-from ampc_ros.supervision.lag_estimate import LagEstimate
 from ampc_ros.supervision.monitors import (
     DeviationMonitor,
     Motion,
@@ -43,15 +45,9 @@ from ampc_ros.supervision.monitors import (
     StopRequest,
 )
 from ampc_ros.supervision.odometry import OdometryMonitor
+from ampc_ros.supervision.present_state import PresentState
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
-from ampc_ros.supervision.state_prediction import StatePredictor
-
-STEADY_TIME = 3.0
-"""Time over which the disturbance is averaged that acts while there is no state: what the tyres do
-in a fast manoeuvre does not last [s]."""
-STEADY_ACCELERATION = 6.0
-"""Lateral acceleration up to which it is averaged [m/s^2]."""
 
 
 class Supervisor:
@@ -81,11 +77,9 @@ class Supervisor:
         self._points: Array | None = None
         self._measured = self._yaw_rate = math.nan
         self._clips = dict.fromkeys(LIMITS[1:], 0)
-        self._answered_ns, self._first_ns, self._repeats = -1, 0, 0
-        self._steady = 0.0, 0.0
-        self._predictor = StatePredictor(config, 0.0)
-        self._lag = LagEstimate(config.steering.delay)
-        self._install(config, build_controller(config, source), 0.0)
+        controller = build_controller(config, source)
+        self._present = PresentState(config, controller)
+        self._install(config, controller, 0.0)
 
     def reconfigure(self, config: Configuration, source: object = "gain table") -> None:
         """Switch to another configuration at the angle in force; an error changes nothing.
@@ -107,11 +101,8 @@ class Supervisor:
         self._guard = Guard(config.guard, config.chassis, controller.period)
         self._guard.steering, self._guard.count = steering, self._clips
         self._chain = FallbackChain(config, controller)
-        self._chain.restart(steering)
-        before, self._predictor = self._predictor, StatePredictor(config, steering)
-        self._predictor.inherit(before)
-        self._lag.delay = config.steering.delay
-        self._use_lag()
+        self._present.install(config, controller)
+        self._chain.restart(steering + self._offset)
 
     @property
     def config(self) -> Configuration:
@@ -137,6 +128,21 @@ class Supervisor:
     def steering(self) -> float:
         """Angle commanded last [rad]."""
         return self._guard.steering
+
+    @property
+    def _offset(self) -> float:
+        """Estimated offset between the commanded and the road-wheel angle [rad]."""
+        return self._present.car.offset
+
+    @property
+    def adaptation(self) -> Adaptation | None:
+        """Estimation of what differs from the configured car; None: it is switched off."""
+        return self._present.adaptation
+
+    @property
+    def assumed_car(self) -> AssumedCar:
+        """The car that prediction and controller assume at present."""
+        return self._present.car
 
     @property
     def state(self) -> Received[VehicleState] | None:
@@ -200,8 +206,9 @@ class Supervisor:
         self._deviation.approach()
         if steering is not None:
             self._guard.reset(steering)
-            self._predictor.reset(steering)
-        self._chain.restart(self.steering)
+            self._present.commands.reset(steering)
+        self._present.freeze()
+        self._chain.restart(self.steering + self._offset)
 
     def forget(self) -> None:
         """Restart and wait for new inputs: the earlier ones belong to another drive."""
@@ -272,7 +279,7 @@ class Supervisor:
         goes_back = self._state is not None and state.stamp_ns < self._state.stamp_ns
         self.restart(0.0 if goes_back and self.config.simulated_time else None)
         if goes_back:
-            self._predictor.reset(self.steering)
+            self._present.commands.reset(self.steering)
             self._progress.forget()
         else:
             self._progress.relocate(self._centre(state))
@@ -326,11 +333,11 @@ class Supervisor:
         """Continue from another angle than the one commanded last [rad]."""
         if steering != self.steering:
             self._guard.reset(steering)
-            self._predictor.correct(steering)
-            self.controller.take_over(self.steering, stepped=True)
+            self._present.commands.correct(steering)
+            self.controller.take_over(self.steering + self._offset, stepped=True)
 
     def take_steering(self, angle: float) -> None:
-        """Use a measured road-wheel angle in the next tick [rad]."""
+        """Use an angle measured like the command, without the estimated offset [rad]."""
         self._measured = angle
 
     def step(self, state: VehicleState, path: Path) -> Command:
@@ -354,7 +361,7 @@ class Supervisor:
         Args:
             now_ns: Time of the node's clock [ns].
         """
-        state, path, last = self._state, self._path, self.steering
+        state, path = self._state, self._path
         if state is None or path is None:
             return None
         controller, settings = self.controller, self.config.settings
@@ -368,7 +375,7 @@ class Supervisor:
         # Each measured angle is used once, by the controller and by the guard.
         measured, self._measured = self._measured, math.nan
         if not math.isnan(measured):
-            controller.observe_steering(measured)
+            controller.observe_steering(measured + self._offset)
 
         # The level of the fallback chain follows from the ages of state and path. A late state is
         # continued by the model; beyond that the last plan is used.
@@ -377,10 +384,11 @@ class Supervisor:
             missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
         if missing and not self.can_predict(now_ns):
             follow = self._chain.stop if missing == STATE_LOST else self._chain.advance
-            command = follow(missing, last, now_ns)
+            command = follow(missing, self.steering + self._offset, now_ns)
         else:
             stepped = True
-            present = self._present(state.value, now_ns)
+            is_measured = math.isnan(self._yaw_rate)
+            present = self._present.at(state.value, now_ns, is_measured=is_measured)
             location = self._progress.locate(
                 self._centre(present),
                 path.value,
@@ -389,11 +397,17 @@ class Supervisor:
             )
             self._chain.feed_forward.progress = self._progress.tracker
             seen = location.seen(present)
-            command = self._chain.answer(seen, location.path, last, now_ns)
+            in_force = self.steering + self._offset
+            command = self._chain.answer(seen, location.path, in_force, now_ns)
             reason = self._monitor(present, location)
             if command.reason == NO_REASON and (is_path_lost or self.no_path):
                 reason = reason or PATH_LOST
             command = with_reason(command, reason, missing)
+
+        # The estimated offset is taken off: from the road wheel's angle to the command.
+        offset = self._offset
+        angle, planned = command.steering - offset, command.planned_steering - offset
+        command = command._replace(steering=angle, planned_steering=planned)
 
         # The guard clips the command, whatever its source.
         guarded = self._guard.step(
@@ -404,10 +418,11 @@ class Supervisor:
         )
 
         # The controller continues from the commanded angle where that is not its own.
-        if not stepped or guarded.steering != controller.steering:
-            controller.take_over(guarded.steering, stepped=stepped)
-
-        self._predictor.store(guarded.steering, now_ns)
+        if not stepped or guarded.steering != controller.steering - offset:
+            controller.take_over(guarded.steering + offset, stepped=stepped)
+        self._present.commands.store(guarded.steering, now_ns)
+        if guarded.limit or command.rung != OPTIMAL:
+            self._present.freeze()
 
         self._stop.inputs |= is_path_lost or (
             command.reason in (STATE_LATE, STATE_LOST) and (command.rung == STOP)
@@ -430,52 +445,10 @@ class Supervisor:
             self._number,
             float(self.qp_fault),
             self._yaw_rate,
+            sum(self.assumed_car.response),
+            understeer_gradient(self.assumed_car.vehicle),
+            offset,
         )
-
-    @property
-    def estimated_lag(self) -> float:
-        """Delay and lag of the steering in total [s]; nan: configured, or not known yet."""
-        is_estimated = self._lag.is_known and not self.config.steering.is_lag_configured
-        return sum(self._lag.steering) if is_estimated else math.nan
-
-    def _use_lag(self) -> None:
-        """Use the estimated lag of the steering where none is configured."""
-        if not self.config.steering.is_lag_configured:
-            delay, lag = self._lag.steering
-            self._predictor.use_steering(delay, lag)
-            self.controller.use_steering(delay, lag, self._lag.caution)
-
-    def _present(self, state: VehicleState, now_ns: int) -> VehicleState:
-        """Return the state at the time of the tick.
-
-        The error of a prediction over several ticks is learnt as that of so many ticks.
-        """
-        is_new, is_measured = state.stamp_ns != self._answered_ns, math.isnan(self._yaw_rate)
-        if is_new:
-            self.controller.expect_after(self._repeats + 1)
-            self._repeats, self._answered_ns, self._first_ns = 0, state.stamp_ns, now_ns
-            is_linear = state.v_x * abs(state.yaw_rate) < STEADY_ACCELERATION
-            share = min(self.period / STEADY_TIME, 1.0) if is_linear else 0.0
-            newest = self.controller.disturbance(state.v_x)
-            lateral, yaw = (a + share * (b - a) for a, b in zip(self._steady, newest, strict=True))
-            self._steady = lateral, yaw
-        else:
-            self.controller.hold_estimates()
-            self._repeats += 1
-        if is_new and is_measured and not self.config.steering.is_lag_configured:
-            self._lag.observe(state, self._predictor)
-            self._use_lag()
-        if not is_measured:  # the slope of the heading replaces the yaw rate
-            self.controller.distrust_noise()
-        # The steady disturbance acts from the first answer on: an earlier one would feed back
-        longest_ns = round(self.config.settings.state_prediction * NANOSECONDS)
-        last_ns = min(now_ns, state.stamp_ns + longest_ns)
-        self._predictor.disturbance = 0.0, 0.0
-        answered = self._predictor.predict(state, min(self._first_ns, last_ns))
-        self._predictor.disturbance = self._steady
-        present = self._predictor.predict(answered, last_ns)
-        self._predictor.disturbance = 0.0, 0.0
-        return present
 
     def _monitor(self, state: VehicleState, location: Location) -> int:
         """Return the reason for a stop that state and path give, or NO_REASON."""
