@@ -98,6 +98,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     route = {key: options[key] for key in Route._fields}
     control = {key: options[key] for key in ("controller", "settings", "gain_table", "guard")}
     control["static_path"] = not options["faults"]  # the injector publishes the path repeatedly
+    control["store_estimates"] = False
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     record = {"output": str(run.bag), "use_sim_time": lock_step}

@@ -32,11 +32,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def ros_domain() -> Iterator[int]:
+def ros_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """Reserve a ROS domain for this process, without other nodes; return its number."""
     with new_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in ros_environment().items():
             patch.setenv(name, value)
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield number
 
 

@@ -91,6 +91,8 @@ def generate_launch_description() -> LaunchDescription:
         for name, (value, text) in ARGUMENTS.items()
     ]
     simulated = IfCondition(LaunchConfiguration("simulate"))
+    real = NotEqualsSubstitution(LaunchConfiguration("simulate"), "true")
+    stored = {"store_estimates": ParameterValue(real, value_type=bool)}
     recorded = NotEqualsSubstitution(LaunchConfiguration("output"), "")
     mode = parameters("lock_step") | {
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
@@ -99,7 +101,7 @@ def generate_launch_description() -> LaunchDescription:
     nodes = [
         node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated),
         node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
-        node("ampc_ros", "controller", mode | parameters(*CONTROL)),
+        node("ampc_ros", "controller", mode | stored | parameters(*CONTROL)),
         node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]
     together = [

@@ -1,5 +1,6 @@
 """Configuration of the controller node: parameters, changes at run time, reload of files."""
 
+import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.task import Future
@@ -17,6 +19,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import ASSUMED_LAG
 from ampc_ros.configuration import (
+    CarDifference,
     Choices,
     Configuration,
     check_controller,
@@ -27,9 +30,16 @@ from ampc_ros.configuration import (
 from ampc_ros.nodes.background import Background, Outcome
 from ampc_ros.nodes.managed_node import ManagedNode
 from ampc_ros.ros import Outputs
+from ampc_ros.supervision.stored_difference import (
+    read_difference,
+    remove_difference,
+    store_difference,
+)
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
 
+STORE_PERIOD, STORE_TIMEOUT = 60.0, 1.0
+"""Time between two stored estimates of the car, and for the last ones [s]."""
 RUN_TIME = ("settings", "gain_table", "guard", "static_path")
 """Parameters that select files and may change while the controller runs."""
 
@@ -66,6 +76,8 @@ class ConfiguredNode(ManagedNode):
     supervisor: Supervisor
     outputs: Outputs
     loader: Background | None = None
+    storing: threading.Thread | None = None
+    """Thread that writes the newest estimates."""
     loaded: tuple[Choices, Outcome] | None = None
     """Choices that were loaded before the callback of their parameters."""
 
@@ -76,6 +88,7 @@ class ConfiguredNode(ManagedNode):
         offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
         offer("fixed_frame", "", "frame of path and odom; empty: that of the first odom")
+        offer("store_estimates", True, "start with the estimates of the last drive, in real time")
         offer = partial(declare, self, at_run_time=True)
         offer("settings", default.settings, "shipped limits, or YAML file")
         offer("gain_table", default.gain_table, "shipped gains, or YAML file")
@@ -167,9 +180,9 @@ class ConfiguredNode(ManagedNode):
             ValueError: A file or value is wrong.
         """
         choices = self.choices({})
-        config, source = configuration(choices), gain_file(choices)
+        config, source = self.with_stored(configuration(choices)), gain_file(choices)
         if not config.steering.is_lag_configured:
-            what = f"steering.lag is not configured: {ASSUMED_LAG:g} s is assumed"
+            what = f"steering.lag is not configured: {ASSUMED_LAG:g} s is assumed at first"
             file = find("vehicles", choices.vehicle)
             self.get_logger().warning(f"vehicle file {file}: {what}")
         if hasattr(self, "supervisor"):
@@ -180,12 +193,67 @@ class ConfiguredNode(ManagedNode):
         self.supervisor.inject_qp_fault(self.get_parameter("qp_fault").value)
         warm_up(config)
 
+    @property
+    def stores(self) -> bool:
+        """Whether the estimates of the car are stored: those of a simulated car are not."""
+        simulated = self.lock_step or self.get_parameter("use_sim_time").value
+        return bool(self.get_parameter("store_estimates").value) and not simulated
+
+    def with_stored(self, config: Configuration) -> Configuration:
+        """Return a configuration that starts with the stored estimates of its car, if any."""
+        if not (self.stores and config.settings.adaptation):
+            return config
+        try:
+            difference = read_difference(config)
+        except ValueError as error:
+            self.get_logger().warning(f"stored estimates are not used: {error}")
+            return config
+        if difference:
+            values = ", ".join(f"{k} {v:.3g}" for k, v in difference._asdict().items())
+            self.get_logger().info(f"stored estimates, differences from the vehicle file: {values}")
+        return config._replace(difference=difference)
+
+    def store(self) -> None:
+        """Store the estimates of the car, from a thread: a slow disk must not delay a command."""
+        adaptation = self.supervisor.adaptation
+        if adaptation and adaptation.is_latency_known and self.stores:
+            values = self.supervisor.config, adaptation.difference
+            self.storing = threading.Thread(target=self.write, args=values, daemon=True)
+            self.storing.start()
+
+    def write(self, config: Configuration, difference: CarDifference) -> None:
+        """Write the file of estimates."""
+        try:
+            store_difference(config, difference)
+        except OSError as error:
+            text = f"the estimates of the car are not stored: {error}"
+            self.get_logger().warning(text, once=True)
+
+    def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget the estimates of the car, also the stored ones."""
+        config = self.supervisor.config._replace(difference=CarDifference())
+        self.supervisor.reconfigure(config)
+        self.publish_configuration()
+        response.success, response.message = True, "the car is assumed to be as configured"
+        try:
+            if self.stores:
+                remove_difference(config)
+        except OSError as error:
+            response.success, response.message = False, str(error)
+        return response
+
     def offer_changes(self) -> None:
         """Accept new parameters and offer the service `~/reload` while configured."""
         group = self.file_group
         self.files_ready = self.create_guard_condition(self.on_files)
         self.while_configured.callback(self.destroy_guard_condition, self.files_ready)
         self.while_configured.callback(self.stop_loader)
+        forget = self.create_service(Trigger, "~/forget", self.on_forget)
+        self.while_configured.callback(self.destroy_service, forget)
+        if self.stores:
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            storing = self.create_timer(STORE_PERIOD, self.store, clock=clock)
+            self.while_configured.callback(self.destroy_timer, storing)
         reload = self.create_service(Trigger, "~/reload", self.on_reload, callback_group=group)
         self.while_configured.callback(self.destroy_service, reload)
         self.add_on_set_parameters_callback(self.on_parameters)

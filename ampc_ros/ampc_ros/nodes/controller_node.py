@@ -21,7 +21,7 @@ from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
-from ampc_ros.nodes.configured_node import ConfiguredNode
+from ampc_ros.nodes.configured_node import STORE_TIMEOUT, ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
 from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
@@ -146,11 +146,14 @@ class ControllerNode(ConfiguredNode):
         if not self.lock_step:
             self.outputs.request_stop(True)
             self.outputs.hold()
+            self.store()
 
     def publish_final(self) -> None:
         """Publish the safe last command at the end of the process."""
         if self.is_active:
             self.finish()
+        if self.storing:
+            self.storing.join(STORE_TIMEOUT)
 
     def on_path(self, message: PathMessage) -> None:
         """Use a new path at once; an invalid one is rejected and the old one kept.

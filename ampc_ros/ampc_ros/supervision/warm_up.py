@@ -6,6 +6,8 @@ from contextlib import suppress
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Configuration
+from ampc_ros.supervision.adaptation import Adaptation
+from ampc_ros.supervision.command_history import CommandHistory
 from ampc_ros.supervision.fallback import PLAN_TIME
 from ampc_ros.supervision.supervisor import Supervisor
 
@@ -54,3 +56,7 @@ def warm_up(config: Configuration) -> None:
         supervisor.step(VehicleState(tick * period_ns, x, 0.1, 0.0, 9.0, 0.0, 0.0), path)
         supervisor.inject_qp_fault(True)
     supervisor.tick(supervisor.newest_ns + period_ns)  # the state has to be predicted
+    adaptation, commands = Adaptation(config), CommandHistory(0.0, NANOSECONDS)
+    for tick in range(2):
+        state = VehicleState(tick * NANOSECONDS // 10, 0.0, 0.0, 0.0, 9.0, 0.1, 0.1 * tick)
+        adaptation.observe(state, commands)
