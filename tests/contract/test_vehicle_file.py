@@ -77,7 +77,9 @@ def test_a_cycle_is_refused_with_the_names(tmp_path: Path) -> None:
 
 
 WRONG: dict[str, dict[str, Any]] = {
-    r"same_as: '.*nowhere' is neither a file nor one of the shipped": {"same_as": "nowhere"},
+    r"same_as = 'nowhere' is neither the file .*nowhere nor one of the shipped": {
+        "same_as": "nowhere"
+    },
     r"same_as = 3 must be a shipped vehicle or a file": {"same_as": 3},
     r"unknown section 'stering'; known are same_as, estimated, chassis": {"stering": {}},
     r"chassis = None must be a mapping": {"chassis": None},
