@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "compare = launch_scripts.compare:main",
             "injector = launch_scripts.nodes.injector_node:main",
+            "new_car = launch_scripts.new_car:main",
             "recover = launch_scripts.recover:main",
             "replay = launch_scripts.replay:main",
             "report = launch_scripts.report:main",

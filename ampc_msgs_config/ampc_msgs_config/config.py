@@ -21,7 +21,7 @@ from typing import Any, cast
 import msgspec
 import yaml
 
-from ampc_msgs_config.validation import T, convert, defaults, dotted, hints
+from ampc_msgs_config.validation import T, convert, defaults, did_you_mean, dotted, hints
 
 FOLDER = Path(str(resources.files("ampc_msgs_config"))) / "config"
 """Folder of the shipped files."""
@@ -103,7 +103,7 @@ def find(folder: str, name: str) -> Path:
     """
     known = shipped(folder)
     if name not in known and not Path(name).is_file():
-        names = ", ".join(known)
+        names = f"{', '.join(known)}{did_you_mean(name, known)}"
         raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
     return known.get(name, Path(name))
 
@@ -218,12 +218,9 @@ def build(cls: type[T], content: Any, where: str, key: str = "") -> T:
         raise ValueError(f"{where}: {error}") from error
 
 
-def load(cls: type[T], file: Path, section: str = "") -> T:
-    """Load one section of a YAML file, or the whole file, as an object of a record class."""
-    content = read(file)
-    if section and section not in content:
-        raise ValueError(f"{file}: missing section {section!r}")
-    return build(cls, content[section] if section else content, str(file), section)
+def load(cls: type[T], file: Path) -> T:
+    """Load a YAML file as an object of a record class; see `vehicle_file` for vehicles."""
+    return build(cls, read(file), str(file))
 
 
 def schema_line(schema_file: Path, file: Path) -> str:

@@ -4,9 +4,10 @@
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from ampc_msgs_config.validation import Checked, choice, described, number
 
@@ -23,8 +24,12 @@ real tyre flattens and reaches its peak at about this multiple of the linear ang
 class ChassisParameters(Checked):
     """Single-track model of a car, Table 3 of the paper: m, I_z, l_f, l_r, C_f, C_r."""
 
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "wheelbase": "; it is cg_to_front_axle + cg_to_rear_axle, which launch_scripts/new_car.py "
+        "computes from wheelbase and front share"
+    }
     mass: Annotated[float, number(1.0, 1.0e5, "kg", "Mass, m.")]
-    yaw_inertia: Annotated[float, number(0.01, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
+    yaw_inertia: Annotated[float, number(0.001, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
     cg_to_front_axle: Annotated[
         float, number(0.05, 20.0, "m", "Centre of gravity to front axle, l_f.")
     ]
@@ -68,7 +73,11 @@ is good for cars with 0 to 0.2 s of delay and lag in total [s]."""
 
 @dataclass(frozen=True, kw_only=True)
 class SteeringParameters(Checked):
-    """Steering actuator between the commanded and the real road-wheel angle."""
+    """Steering actuator between the commanded and the real road-wheel angle, and its interface.
+
+    `ratio` and `offset` belong to the topics `steering_command` and `steering_state` only: see
+    `position` and `angle`. Everything else is a road-wheel angle.
+    """
 
     max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest road-wheel angle.")]
     max_rate: Annotated[
@@ -79,6 +88,13 @@ class SteeringParameters(Checked):
         number(-1.0, 5.0, "s", "Time constant of the first-order lag; -1: unknown, 0.08 s."),
     ] = -1.0
     delay: Annotated[float, number(0.0, 2.0, "s", "Pure delay.")] = 0.0
+    ratio: Annotated[
+        float,
+        number(0.1, 100.0, "", "Position on the steering topics per road-wheel angle."),
+    ] = 1.0
+    offset: Annotated[
+        float, number(-0.2, 0.2, "rad", "Road-wheel angle at position 0 on the steering topics.")
+    ] = 0.0
 
     def __post_init__(self) -> None:
         """Check all fields; a negative lag is the mark of an unknown one."""
@@ -95,6 +111,14 @@ class SteeringParameters(Checked):
     def time_constant(self) -> float:
         """Lag, or the assumed one where it is not stated [s]."""
         return self.lag if self.is_lag_configured else ASSUMED_LAG
+
+    def position(self, angle: float) -> float:
+        """Return the position on the steering topics of a road-wheel angle [rad]."""
+        return self.ratio * (angle - self.offset)
+
+    def angle(self, position: float) -> float:
+        """Return the road-wheel angle of a position on the steering topics [rad]."""
+        return position / self.ratio - (0.0 - self.offset)  # keeps the sign of -0.0
 
 
 @dataclass(frozen=True, kw_only=True)
