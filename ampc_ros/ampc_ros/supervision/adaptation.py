@@ -55,11 +55,13 @@ MOTION_DEVIATION = (0.3, 0.1)
 WALK = (0.1, 0.02, 0.004, 0.004, 0.0003, 0.004, 0.0, 0.0)
 """Random walk of the state in the square root of a second; that of the gradient as a share of the
 front axle's part of it."""
-NOISE, NOISE_SHARE = 0.02, 0.1
-"""Standard deviation of a predicted yaw rate: noise [rad/s], and share of the yaw rate, for model
-errors."""
-LATERAL_NOISE = 0.1
-"""Standard deviation of a measured lateral velocity, with that of its bias [m/s]."""
+NOISE = (0.01, 0.03)
+"""Least standard deviation of a residual of yaw rate [rad/s] and lateral velocity [m/s]: that of
+model errors. Where the residuals are larger, their level is used."""
+START_NOISE, NOISE_TIME = (0.03, 0.1), 5.0
+"""Standard deviations at the start, and time over which residuals are averaged [s]."""
+NOISE_SHARE = 0.1
+"""Further standard deviation of the yaw rate, as a share of it, for model errors."""
 MOST_LATERAL = 0.5
 """Residual of the lateral velocity from which it is not used [m/s]."""
 DIFFERENCE = (0.05, 0.02, 0.02, 0.1, 0.005, 0.05, 0.1)
@@ -67,6 +69,8 @@ DIFFERENCE = (0.05, 0.02, 0.02, 0.1, 0.005, 0.05, 0.1)
 INSIGNIFICANT, SIGNIFICANT = 1.0, 2.0
 """Standard deviations up to which a difference from the configured car is not used, and from which
 it is used fully."""
+USE_TIME = (3.0, 10.0, 10.0, 10.0)
+"""Time constants with which an estimate is used: latency, gradient, offset, stiffness [s]."""
 LONG_LAG = 0.2
 """Latency from which the state filter acts fully, also without noise [s]."""
 LEAST_LATENCY = -0.1
@@ -197,7 +201,11 @@ class Adaptation:
             self.x[DIFFERENCES] = np.clip(config.difference, self.lower, self.upper)
         self.P: Array = np.diag(self.deviation**2)
         """Its covariance (SIZE, SIZE)."""
+        self.noise: Array = np.square(START_NOISE)
+        """Mean squares of the residuals of yaw rate and lateral velocity."""
         self.anchor: VehicleState | None = None
+        self.used: Array = np.array(config.difference or CarDifference())
+        """Differences from the configured car in use."""
 
     @property
     def difference(self) -> CarDifference:
@@ -212,9 +220,7 @@ class Adaptation:
     @property
     def adapted_car(self) -> AssumedCar:
         """The configured car with the differences that are significant."""
-        latency, gradient, offset, stiffness = (self._significant(i) for i in ESTIMATED)
-        if not self.is_stated:
-            latency = float(self.x[LATENCY])
+        latency, gradient, offset, stiffness = (float(value) for value in self.used)
         vehicle = self.car.vehicle
         if gradient or stiffness:
             vehicle = with_tyres(vehicle, gradient, stiffness)
@@ -306,18 +312,27 @@ class Adaptation:
             return
         H = np.zeros(SIZE)
         H[YAW_RATE] = 1.0
-        noise = NOISE**2 + (NOISE_SHARE * state.yaw_rate) ** 2
-        x, P = corrected(x, P, H, residual, noise)
+        share = min(elapsed / NOISE_TIME, 1.0)
+        self.noise[0] += share * (residual**2 - self.noise[0])
+        variance = max(self.noise[0], NOISE[0] ** 2) + (NOISE_SHARE * state.yaw_rate) ** 2
+        x, P = corrected(x, P, H, residual, variance)
         # v_y at the measured point = v_y - (to_cg - point) r
         H[V_Y], H[YAW_RATE], H[POINT] = 1.0, x[POINT] - self.to_cg, x[YAW_RATE]
         residual = state.v_y - (x[V_Y] + (x[POINT] - self.to_cg) * x[YAW_RATE])
         if state.v_y != 0.0 and abs(residual) <= MOST_LATERAL:
-            x, P = corrected(x, P, H, residual, LATERAL_NOISE**2)
+            self.noise[1] += share * (residual**2 - self.noise[1])
+            x, P = corrected(x, P, H, residual, max(self.noise[1], NOISE[1] ** 2))
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             self._start(state)
             return
         x[DIFFERENCES] = np.clip(x[DIFFERENCES], self.lower, self.upper)
         self.x, self.P = x, 0.5 * (P + P.T)
+
+        # Slow use; an unknown latency is used at once, because it decides about stability
+        wanted = np.array([self._significant(i) for i in ESTIMATED])
+        self.used += np.minimum(elapsed / np.array(USE_TIME), 1.0) * (wanted - self.used)
+        if not self.is_stated:
+            self.used[0] = x[LATENCY]
 
 
 def corrected(

@@ -4,7 +4,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -127,13 +127,15 @@ def ordinary_road(seed: int) -> Scenario:
         s += length + rng.uniform(2.0, 25.0)
     heading = SPACING * np.cumsum(kappa)
     points = SPACING * np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
-    speed: Any = np.sqrt(ORDINARY_ACCELERATION / np.maximum(np.abs(kappa), 1e-4))
+    speed: Array = np.sqrt(ORDINARY_ACCELERATION / np.maximum(np.abs(kappa), 1e-4))
     speed = np.minimum(speed, ORDINARY_SPEED)
     for order in (range(1, count), range(count - 2, -1, -1)):
         for i in order:
             before = speed[i - 1 if order.step > 0 else i + 1]
             speed[i] = min(speed[i], math.sqrt(before**2 + 2 * BRAKING * SPACING))
-    return Scenario("ordinary", points, SpeedProfile(True, at, speed), TRAINING)
+    return Scenario(
+        "ordinary", points, SpeedProfile(True, at, np.array(speed, dtype=np.float64)), TRAINING
+    )
 
 
 def lane_change(speed: float) -> Scenario:
