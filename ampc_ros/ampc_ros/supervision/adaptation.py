@@ -43,7 +43,7 @@ GRADIENT_DEVIATION = 0.3
 """Standard deviation of the understeer gradient, as a share of the front axle's part of it."""
 OFFSET_DEVIATION = 0.015
 """Standard deviation of the offset [rad]."""
-ERROR_DEVIATION, ERROR_TIME = 0.3, 3.0
+ERROR_DEVIATION, ERROR_TIME = 0.12, 3.0
 """Standard deviation of the yaw acceleration beyond the model [rad/s^2], and its correlation time
 [s]: what lasts longer belongs to the offset."""
 STIFFNESS_DEVIATION = 0.3
@@ -52,15 +52,15 @@ POINT_DEVIATION = 0.5
 """Standard deviation of the measured point [m]."""
 MOTION_DEVIATION = (0.3, 0.1)
 """Standard deviation of lateral velocity [m/s] and yaw rate [rad/s] at a start."""
-WALK = (0.1, 0.02, 0.004, 0.004, 0.0003, 0.004, 0.0, 0.0)
+WALK = (0.1, 0.02, 0.004, 0.002, 0.0003, 0.002, 0.0, 0.0)
 """Random walk of the state in the square root of a second; that of the gradient as a share of the
 front axle's part of it."""
-NOISE = (0.01, 0.03)
+NOISE = (0.005, 0.015)
 """Least standard deviation of a residual of yaw rate [rad/s] and lateral velocity [m/s]: that of
 model errors. Where the residuals are larger, their level is used."""
 START_NOISE, NOISE_TIME = (0.03, 0.1), 5.0
 """Standard deviations at the start, and time over which residuals are averaged [s]."""
-NOISE_SHARE = 0.1
+NOISE_SHARE = 0.05
 """Further standard deviation of the yaw rate, as a share of it, for model errors."""
 MOST_LATERAL = 0.5
 """Residual of the lateral velocity from which it is not used [m/s]."""
