@@ -62,6 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return WRONG
     console.print(terminal_table(("key", "value", ""), template_rows(template), "lrl", str(file)))
     print_vehicle_warnings(str(file), console)
+    if options.steering_ratio:
+        topics = "steering_command and steering_state carry"
+        console.print(f"note: {topics} {options.steering_ratio:g} times the road-wheel angle")
     print_next(file, console)
     return 0
 
