@@ -55,13 +55,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         template = vehicle_template(sheet, options.type)
         if file.exists() and not options.force:
             raise ValueError(f"--output: {file} exists; --force overwrites it")
-        file.write_text(vehicle_text(template, f"new_car {words}", file), encoding="utf-8")
+        try:
+            file.write_text(vehicle_text(template, f"new_car {words}", file), encoding="utf-8")
+        except OSError as error:
+            raise ValueError(f"--output: {file} cannot be written: {error.strerror}") from error
         load_vehicle_file(file)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
     console.print(terminal_table(("key", "value", ""), template_rows(template), "lrl", str(file)))
     print_vehicle_warnings(str(file), console)
+    if options.steering_ratio:
+        topics = "steering_command and steering_state carry"
+        console.print(f"note: {topics} {options.steering_ratio:g} times the road-wheel angle")
     print_next(file, console)
     return 0
 

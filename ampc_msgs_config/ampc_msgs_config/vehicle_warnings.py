@@ -14,8 +14,8 @@ SOFTEST = 2.5
 """Least plausible cornering stiffness over load [1/rad]."""
 STIFFEST, STIFFEST_HEAVY = 26.0, 11.0
 """Largest plausible mean of both axles for cars and for heavy vehicles [1/rad]."""
-HEAVY, LIGHT = 5000.0, 100.0
-"""Mass of a heavy vehicle, whose tyres are softer, and of a model car [kg]."""
+HEAVY, LIGHT = 5000.0, 300.0
+"""Mass of a heavy vehicle, whose tyres are softer, and of a model car or a robot [kg]."""
 INERTIA, MODEL_INERTIA = (0.5, 2.3), (0.25, 2.3)
 """Range of I_z / (m l_f l_r): known cars have 0.8 to 1.2, buses 1.5, model cars 0.46 to 1."""
 SHARE = (0.22, 0.78)

@@ -1,8 +1,8 @@
 """Drive random vehicle templates: `python -m tests.workshop.acceptance.templates`.
 
 Each template is drawn within its type: mass, wheelbase, front share. With the default gains, it is
-model and true car of a double lane change, which is as sharp as lateral acceleration and steering
-rate allow. The exit code is 1 where a template misses the bound.
+model and true car of a double lane change, which is as sharp as lateral acceleration, steering
+angle and rate allow. The exit code is 1 where a template misses the bound.
 """
 
 import argparse
@@ -42,7 +42,7 @@ ACCELERATIONS = {"truck": (1.0, 2.0), "bus": (1.0, 2.0)}
 """Range of the largest lateral acceleration [m/s^2]: loaded trucks roll over above 3."""
 OTHERS = (1.0, 3.0)
 STEERING_SHARE = 0.5
-"""Share of the steering rate that the road needs."""
+"""Largest share of angle and rate of the steering that the road needs."""
 
 
 class TemplateDrive(NamedTuple):
@@ -77,13 +77,16 @@ def drawn_sheet(kind: str, rng: np.random.Generator) -> DataSheet:
 
 
 def lane_change(speed: float, acceleration: float, vehicle: Vehicle, shift: float) -> Scenario:
-    """Return a double lane change within a lateral acceleration and the steering rate.
+    """Return a double lane change within a lateral acceleration and the limits of the steering.
 
     The peaks of the derivatives of shift * q(s / l) are 5.77 shift / l^2 and 60 shift / l^3.
     """
-    rate = STEERING_SHARE * vehicle.steering.max_rate
+    angle, rate = (
+        STEERING_SHARE * limit for limit in (vehicle.steering.max_angle, vehicle.steering.max_rate)
+    )
+    by_angle = math.sqrt(5.7735 * shift * vehicle.chassis.wheelbase / angle)
     by_rate = (60.0 * shift * vehicle.chassis.wheelbase * speed / rate) ** (1 / 3)
-    over = max(speed * math.sqrt(5.7735 * shift / acceleration), by_rate)
+    over = max(speed * math.sqrt(5.7735 * shift / acceleration), by_angle, by_rate)
     x = np.arange(0.0, 2.0 * over + 9.0 * speed, shift / 8.0)
     starts = speed, 2.0 * speed + over
     out, back = (np.array([q(z) for z in np.clip((x - s) / over, 0.0, 1.0)]) for s in starts)
