@@ -16,7 +16,7 @@ BELOW = {
 """Packages that a package may import, itself included."""
 OURS = {*BELOW, "tests"}
 COMMANDS = {"start", "report", "replay", "recover", "compare", "tune", "reproduce", "bootstrap"}
-COMMANDS |= {"compile_all", "setup", "__init__"}
+COMMANDS |= {"compile_all", "certify", "setup", "__init__"}
 """Files at the top of launch_scripts."""
 STUDY = {"launch_scripts.study", "launch_scripts.reproduce"}
 REPEATED = {"main", "parse_arguments", "read_options", "__all__"}

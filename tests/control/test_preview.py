@@ -33,7 +33,7 @@ from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 from tests.workshop.acceptance.cases import SPEEDS, Case, all_cases
-from tests.workshop.acceptance.stability import delay_margin, spectral_radius
+from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import Trial, overlap, run
 
 CAR = load_vehicle_file(find("vehicles", "paper"))

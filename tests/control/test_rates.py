@@ -13,7 +13,7 @@ from ampc_ros.controller import make_controller
 from ampc_ros.preview.controller import PreviewMpc
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
-from tests.workshop.acceptance.stability import delay_margin, spectral_radius
+from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from tests.workshop.bench.bench_node import CHOICES
 
 FAST = [rate for rate in CHOICES if rate > 10]

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import ASSUMED_LAG
+from ampc_ros.certificate import certificate_problem
 from ampc_ros.configuration import (
     Choices,
     Configuration,
@@ -44,16 +45,22 @@ class LoadedChoices(NamedTuple):
     """Number of the configuration in its text."""
     text: str
     """Result of `to_yaml`."""
+    uncertified: str
+    """Why the gains are not certified; empty: they are."""
 
 
-def load_choices(choices: Choices, number: int) -> LoadedChoices:
+def load_choices(choices: Choices, number: int, require_certificate: bool) -> LoadedChoices:
     """Load choices, and write the configuration as it is to be published.
 
     Raises:
-        ValueError: A file or value is wrong.
+        ValueError: A file or value is wrong, or a required certificate is missing.
     """
     config = configuration(choices)
-    return LoadedChoices(config, gain_file(choices), number, to_yaml(config, number))
+    uncertified = certificate_problem(choices, config, required=require_certificate)
+    if uncertified and require_certificate:
+        raise ValueError(f"require_certificate: {uncertified}")
+    text = to_yaml(config, number)
+    return LoadedChoices(config, gain_file(choices), number, text, uncertified)
 
 
 class ConfiguredNode(ManagedNode):
@@ -68,6 +75,8 @@ class ConfiguredNode(ManagedNode):
     loader: Background | None = None
     loaded: tuple[Choices, Outcome] | None = None
     """Choices that were loaded before the callback of their parameters."""
+    uncertified = ""
+    """Why the gains in use are not certified; empty: they are."""
 
     def declare_choices(self) -> None:
         """Declare the parameters that select the configuration."""
@@ -76,6 +85,8 @@ class ConfiguredNode(ManagedNode):
         offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
         offer("fixed_frame", "", "frame of path and odom; empty: that of the first odom")
+        text = "reject a gain table without a valid certificate"
+        self.require_certificate: bool = offer("require_certificate", False, text)
         offer = partial(declare, self, at_run_time=True)
         offer("settings", default.settings, "shipped limits, or YAML file")
         offer("gain_table", default.gain_table, "shipped gains, or YAML file")
@@ -136,7 +147,8 @@ class ConfiguredNode(ManagedNode):
         """Load choices in another process; the future holds the outcome."""
         future = Future()
         self.loader = Background(self.files_ready.trigger)
-        self.loader.submit(future, load_choices, choices, self.supervisor.number + 1)
+        number = self.supervisor.number + 1
+        self.loader.submit(future, load_choices, choices, number, self.require_certificate)
         return future
 
     def on_files(self) -> None:
@@ -167,7 +179,7 @@ class ConfiguredNode(ManagedNode):
             ValueError: A file or value is wrong.
         """
         choices = self.choices({})
-        config, source = configuration(choices), gain_file(choices)
+        config, source, _, _, uncertified = load_choices(choices, 1, self.require_certificate)
         if not config.steering.is_lag_configured:
             what = f"steering.lag is not configured: {ASSUMED_LAG:g} s is assumed"
             file = find("vehicles", choices.vehicle)
@@ -178,7 +190,14 @@ class ConfiguredNode(ManagedNode):
         else:
             self.supervisor = Supervisor(config, source)
         self.supervisor.inject_qp_fault(self.get_parameter("qp_fault").value)
+        self.warn_uncertified(uncertified)
         warm_up(config)
+
+    def warn_uncertified(self, uncertified: str) -> None:
+        """Log once per configuration that its gains are not certified, and remember the reason."""
+        self.uncertified = uncertified
+        if uncertified:
+            self.get_logger().warning(uncertified)
 
     def offer_changes(self) -> None:
         """Accept new parameters and offer the service `~/reload` while configured."""
@@ -210,7 +229,7 @@ class ConfiguredNode(ManagedNode):
         Raises:
             ValueError: A file or value is wrong.
         """
-        return load_choices(choices, self.supervisor.number + 1)
+        return load_choices(choices, self.supervisor.number + 1, self.require_certificate)
 
     def reconfigure(self, loaded: LoadedChoices) -> None:
         """Switch to another configuration; an error changes nothing.
@@ -225,6 +244,7 @@ class ConfiguredNode(ManagedNode):
                 "the controller is configured"
             )
         self.supervisor.reconfigure(config, loaded.source)
+        self.warn_uncertified(loaded.uncertified)
         fits = loaded.number == self.supervisor.number
         self.publish_configuration(loaded.text if fits else "")
 

@@ -328,7 +328,7 @@ class ControllerNode(ConfiguredNode):
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
         level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
-        problems = [self.clock_check.problem(), *self.inputs.mismatches()]
+        problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified]
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         account = {"commands": self.commands, "missed_ticks": self.policy.missed}

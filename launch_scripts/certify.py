@@ -1,0 +1,159 @@
+"""Certify a gain table for a vehicle: check stability, margins and disturbances at all speeds.
+
+`python launch_scripts/certify.py --vehicle my_car.yaml --gain-table t.yaml` writes a certificate
+next to the gain table, where the controller finds it, and a page. Exit code 0: certified; 1: not
+certified; 2: wrong option or file; 130: interrupted.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from ampc_msgs_config.config import FOLDER, shipped
+from ampc_ros.certificate import CERTIFIED_CONTROLLERS, certify_command
+from ampc_ros.configuration import Choices
+from launch_scripts.certifying.certificate import (
+    Result,
+    certify,
+    default_folder,
+    file_name,
+    loop_speeds,
+    to_document,
+    to_text,
+)
+from launch_scripts.certifying.measurements import driven_seconds
+from launch_scripts.certifying.page import page, rows_of, shipped_rows
+from launch_scripts.certifying.subject import Subject, load_subject
+from launch_scripts.reporting.pages import terminal_table
+from launch_scripts.run.options import create_folder, naming
+from launch_scripts.run.progress import show_progress
+from launch_scripts.tuning.search import write_atomically
+
+NOT_CERTIFIED, WRONG, INTERRUPTED = 1, 2, 130
+"""Exit codes."""
+SHIPPED = (
+    Choices(vehicle="paper", gain_table="preview_paper"),
+    Choices(vehicle="ordinary", gain_table="preview_ordinary"),
+    *(Choices(vehicle=car, gain_table="preview") for car in ("paper", "ordinary")),
+    *(
+        Choices(vehicle=car, settings=f"{rate}hz", gain_table=f"preview_{rate}hz")
+        for rate in (50, 100)
+        for car in ("paper", "ordinary")
+    ),
+    *(Choices("paper", vehicle=car, gain_table="table3") for car in ("paper", "ordinary")),
+    Choices("paper", vehicle="paper", gain_table="paper_pso"),
+)
+"""Shipped tables with the shipped vehicles for which they are meant."""
+SHIPPED_FOLDER = FOLDER / "gains"
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add, default = parser.add_argument, Choices()
+    add(
+        "--vehicle", default=default.vehicle, help=f"YAML file, or {', '.join(shipped('vehicles'))}"
+    )
+    text = f"YAML file, or {', '.join(shipped('gains'))}; default: that of start.py"
+    add("--gain-table", default="", help=text)
+    add("--controller", default=default.controller, help=" or ".join(CERTIFIED_CONTROLLERS))
+    text = f"YAML file, or {', '.join(shipped('controllers'))}; default: %(default)s"
+    add("--settings", default=default.settings, help=text)
+    text = "folder of certificate and page; default: where the controller looks for them"
+    add("--output", type=Path, help=text)
+    add("--workers", type=int, default=os.cpu_count() or 1, help="number of threads")
+    add("--shipped", action="store_true", help="certify every shipped table, into the package")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    chosen = build_parser().parse_args(arguments)
+    console = Console(highlight=False, soft_wrap=True)
+    try:
+        if chosen.workers < 1:
+            raise ValueError(f"--workers {chosen.workers}: must be at least 1")
+        if chosen.shipped:
+            return certify_shipped(chosen.output or SHIPPED_FOLDER, chosen.workers, console)
+        options = chosen.controller, chosen.vehicle, chosen.settings, chosen.gain_table
+        subject = load_subject(Choices(*options))
+        folder = chosen.output or default_folder(subject)
+        with naming("output"):
+            create_folder(folder, exist_ok=True)
+        result = run(subject, chosen.workers, console)
+        file = write(result, folder)
+        table_page = file.with_suffix(".html")
+        command = certify_command(subject.choices, subject.gain_table)
+        write_atomically(table_page, page(result, command, file.name))
+    except ValueError as error:
+        console.print(Text.assemble(("error:", "red"), f" {error}"))
+        return WRONG
+    except KeyboardInterrupt:
+        console.print("interrupted: nothing is written")
+        return INTERRUPTED
+    heads = ("quantity", "bound", "worst", "at", "speeds within", "")
+    console.width = max(console.width, 120)
+    console.print(terminal_table(heads, [row[:6] for row in rows_of(result)], "lrrrrl"))
+    print_verdict(result, console)
+    console.print(f"written: {file} and {table_page.name}", markup=False)
+    return 0 if result.certified else NOT_CERTIFIED
+
+
+def run(subject: Subject, threads: int, console: Console) -> Result:
+    """Certify with progress.
+
+    Raises:
+        ValueError: Names file, key, value and bound.
+    """
+    name = f"certify {subject.gain_table.stem} for {Path(subject.choices.vehicle).stem}"
+    speeds = loop_speeds(subject)
+    total = driven_seconds(subject, speeds) if len(speeds) else 1.0
+    with show_progress(console, name, total) as advance:
+        return certify(subject, threads, advance)
+
+
+def write(result: Result, folder: Path) -> Path:
+    """Write the certificate and return its file.
+
+    Raises:
+        ValueError: The file cannot be written.
+    """
+    file = folder / file_name(result.subject)
+    write_atomically(file, to_text(to_document(result)))
+    return file
+
+
+def print_verdict(result: Result, console: Console) -> None:
+    """Print whether the table is certified, and what does not hold."""
+    for failure in result.failures:
+        console.print(Text.assemble(("fails:", "red"), f" {failure}"))
+    for v in result.out_of_reach:
+        console.print(f"not driven: {v:g} m/s, the car does not reach this speed")
+    verdict = "certified" if result.certified else "not certified"
+    names = f"{result.subject.gain_table.stem} for {result.subject.choices.vehicle}"
+    console.print(f"{names}: {verdict}", markup=False)
+
+
+def certify_shipped(folder: Path, threads: int, console: Console) -> int:
+    """Certify every shipped table, and print the table of the page `doc/certificate.md`.
+
+    Raises:
+        ValueError: A file cannot be read or written.
+    """
+    results = []
+    for choices in SHIPPED:
+        results.append(run(load_subject(choices), threads, console))
+        write(results[-1], folder)
+    console.print("\n".join(shipped_rows(results)), markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
