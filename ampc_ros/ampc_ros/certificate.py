@@ -15,8 +15,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ampc_msgs_config.config import build, find, read, read_text, shipped
+from ampc_msgs_config.config import build, find, read_text, shipped
 from ampc_msgs_config.validation import Checked, described, number
+from ampc_msgs_config.vehicle_file import VehicleContent, read_vehicle
 from ampc_ros.configuration import Choices, Configuration, gain_file
 from ampc_ros.mpc.gain_table import gain_table
 
@@ -34,7 +35,7 @@ MOST_FAILURES, LONGEST_REASON, LONGEST_SENTENCE = 3, 200, 1200
 """Failed checks in a message, and longest texts [characters]."""
 LARGEST_NUMBER = 1.0e300
 """Bound from which a whole number counts as infinite."""
-CAR_SECTIONS = ("tyre", "body", "aerodynamics", "powertrain", "estimated")
+CAR_SECTIONS = ("tyre", "body", "aerodynamics", "powertrain")
 """Sections of a vehicle file, besides chassis and steering, that determine the simulated car."""
 NOT_IN_LOOP = {
     *("state_late", "state_lost", "state_prediction", "path_late", "path_lost", "resume"),
@@ -79,15 +80,16 @@ def _floats(value: Any) -> Any:
     return value
 
 
-def identity_of(config: Configuration, vehicle: Mapping[str, Any]) -> Identity:
+def identity_of(config: Configuration, vehicle: VehicleContent) -> Identity:
     """Return what a certificate of a configuration must hold for.
 
     Args:
         config: Configuration of the controller.
-        vehicle: Content of the vehicle file.
+        vehicle: Content of the vehicle file, after inheritance.
     """
-    car = {"chassis": asdict(config.chassis), "steering": asdict(config.steering)}
-    car |= {section: vehicle[section] for section in CAR_SECTIONS if section in vehicle}
+    car: dict[str, Any] = {"chassis": asdict(config.chassis), "steering": asdict(config.steering)}
+    car |= {name: vehicle.sections[name] for name in CAR_SECTIONS if name in vehicle.sections}
+    car["estimated"] = vehicle.estimated
     table = gain_table(config.gains)
     gains = [table.table.speeds.tolist(), table.table.references.tolist(), table.nodes]
     settings = {k: v for k, v in asdict(config.settings).items() if k not in NOT_IN_LOOP}
@@ -165,7 +167,7 @@ def certificate_problem(choices: Choices, config: Configuration, *, required: bo
     table = gain_file(choices)
     if config.controller not in CERTIFIED_CONTROLLERS or table is None:
         return f"controller {one_line(config.controller)} has no certificate" if required else ""
-    expected = identity_of(config, read(find("vehicles", choices.vehicle)))
+    expected = identity_of(config, read_vehicle(find("vehicles", choices.vehicle)))
     reasons, is_certified = [], False
     for file in certificate_files(choices, table):
         reason = problem_of(file, expected)

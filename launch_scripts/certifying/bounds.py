@@ -85,7 +85,9 @@ BOUNDS = (
         0.315,
         "`not uncomfortable` in ISO 2631-1, annex C",
     ),
-    most("joining_rest", "joining from 0.5 to 5 m: largest error in the last 3 s", "m", 0.05, SETTLED),
+    most(
+        "joining_rest", "joining from 0.5 to 5 m: largest error in the last 3 s", "m", 0.05, SETTLED
+    ),
     most("joining_overshoot", "joining from 0.5 to 5 m: overshoot", "m", 0.5, LANE),
     most(
         "lane_change",
@@ -96,7 +98,9 @@ BOUNDS = (
     ),
     most("gust", "gust of 15 m/s from the side, 2 s: largest error", "m", 0.5, LANE),
     most("friction", "lane change, friction 0.5: largest error", "m", 0.5, LANE),
-    most("friction_rest", "joining from 3 m, friction 0.3: error in the last 3 s", "m", 0.05, SETTLED),
+    most(
+        "friction_rest", "joining from 3 m, friction 0.3: error in the last 3 s", "m", 0.05, SETTLED
+    ),
     most("friction_overshoot", "joining from 3 m, friction 0.3: overshoot", "m", 0.5, LANE),
     most("noise", "lane change with noise x1: largest measured error", "m", 0.5, LANE),
     most(
@@ -107,8 +111,13 @@ BOUNDS = (
         "3 deg per tick of 0.1 s, target of `make acceptance` with noise",
     ),
     most("spread", "lane change, car within its spread: largest error", "m", 0.5, LANE),
-    most("spread_rest", "joining from 3 m, car within its spread: error in the last 3 s", "m", 0.05,
-         SETTLED),
+    most(
+        "spread_rest",
+        "joining from 3 m, car within its spread: error in the last 3 s",
+        "m",
+        0.05,
+        SETTLED,
+    ),
     most("spread_overshoot", "joining from 3 m, car within its spread: overshoot", "m", 0.5, LANE),
-)  # fmt: skip
+)
 """All bounds, in the order of the page."""

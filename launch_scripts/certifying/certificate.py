@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import find, read, shipped
+from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.types import Array
 from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, digest, identity_of
 from launch_scripts.certifying.bounds import BOUNDS, Bound
@@ -26,8 +26,8 @@ from launch_scripts.certifying.subject import (
 )
 from launch_scripts.run.progress import Advance
 
-DIGITS = 3
-"""Significant digits of a measured value."""
+DIGITS, DECIMALS = 3, 4
+"""Significant digits and decimals of a measured value."""
 ANY_CAR = Path("runs/certify")
 """Folder of a certificate whose gain table and vehicle are both shipped."""
 
@@ -118,23 +118,22 @@ def certify(subject: Subject, threads: int, advance: Advance) -> Result:
 
 
 def rounded(value: float) -> float:
-    """Return a value of DIGITS significant digits."""
-    return float(f"{value:.{DIGITS}g}")
+    """Return a value with DIGITS significant digits and at most DECIMALS decimals."""
+    return round(float(f"{value:.{DIGITS}g}"), DECIMALS)
 
 
 def to_document(result: Result) -> dict[str, Any]:
     """Return the content of a certificate file; it depends on nothing but vehicle and gains."""
     subject = result.subject
-    vehicle = read(find("vehicles", subject.choices.vehicle))
     content = {
         "version": CERTIFICATE_VERSION,
         "certified": result.certified,
         "failures": result.failures,
-        "identity": identity_of(subject.config, vehicle)._asdict(),
+        "identity": identity_of(subject.config, subject.content)._asdict(),
         "vehicle": Path(subject.choices.vehicle).stem,
         "gain_table": subject.gain_table.stem,
         "settings": Path(subject.choices.settings).stem,
-        "spread": dict(subject.spread) or DEFAULT_SPREAD,
+        "spread": {**DEFAULT_SPREAD, **subject.content.estimated},
         "speeds_out_of_reach": result.out_of_reach.tolist(),
         "speeds": result.speeds.tolist(),
         "checks": [check_document(check, result.speeds) for check in result.checks],

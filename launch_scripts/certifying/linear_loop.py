@@ -9,6 +9,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
@@ -31,16 +32,17 @@ BEGIN = 100.0
 LARGEST_DELAY = 0.3
 """Largest unknown delay that is tried [s]."""
 CertifiedController = PreviewMpc | LateralMpc
+Places = NDArray[np.int64]
 
 
-def memory_places(controller: CertifiedController) -> Array:
+def memory_places(controller: CertifiedController) -> Places:
     """Return the positions in the memory of a controller that are states of the loop."""
     if isinstance(controller, PreviewMpc):
         return np.arange(preview.BEFORE, len(controller.memory))
     return np.array([paper.STEERING, *range(paper.LAST, paper.INDEX)])
 
 
-def estimator_places(controller: CertifiedController) -> Array:
+def estimator_places(controller: CertifiedController) -> Places:
     """Return the positions of the disturbance estimate in the memory of a controller."""
     if isinstance(controller, PreviewMpc):
         return np.arange(preview.DISTURBANCE, preview.EXPECTED)
@@ -89,16 +91,16 @@ def loop_matrix(
 
     n = STATES + queue + len(places)
     origin = tick(np.zeros(n))
-    J = np.array([(tick(SIZE * row) - origin) / SIZE for row in np.eye(n)]).T
+    J: Array = np.array([(tick(SIZE * row) - origin) / SIZE for row in np.eye(n)]).T
     if estimator:
         return J
     held = STATES + queue + np.flatnonzero(np.isin(places, estimator_places(controller)))
     kept = np.setdiff1d(np.arange(n), held)
-    return J[np.ix_(kept, kept)]
+    return np.asarray(J[np.ix_(kept, kept)])
 
 
 def with_memory(
-    controller: CertifiedController, places: Array, values: Array, v_x: float
+    controller: CertifiedController, places: Places, values: Array, v_x: float
 ) -> CertifiedController:
     """Return a copy of a controller in the middle of a drive.
 
@@ -134,7 +136,7 @@ def spectral_radius(
 
 
 def time_constant(radius: float, T: float) -> float:
-    """Return the time constant of a mode of this magnitude per tick of T; infinite from 1 on [s]."""
+    """Return the time constant of a mode with this magnitude per tick T; infinite from 1 on [s]."""
     if radius >= 1.0:
         return math.inf
     return -T / math.log(radius) if radius > 0.0 else 0.0

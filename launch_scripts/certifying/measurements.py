@@ -15,12 +15,11 @@ from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile
 from ampc_msgs_config.types import Array, Plan, VehicleState
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from launch_scripts.certifying.linear_loop import (
-    LARGEST_DELAY,
     CertifiedController,
     spectral_radius,
     time_constant,
 )
-from launch_scripts.certifying.subject import Subject, cars_within_spread
+from launch_scripts.certifying.subject import Subject
 from launch_scripts.tuning.drives import (
     CURVATURE,
     GUST,
@@ -52,9 +51,9 @@ SEED = 1
 MARGIN_OFFSET, MARGIN_DURATION, MARGIN_REST_TIME, MARGIN_REST = 0.5, 15.0, 5.0, 0.05
 """Initial offset [m] and duration [s] of the drives of the margins. A car has settled if its error
 is below the last number [m] during the time before it [s]."""
-COARSE_DELAYS = np.linspace(0.0, LARGEST_DELAY, 16)
-COARSE_GAINS = np.linspace(1.0, 4.0, 16)
-COARSE_REDUCTIONS = np.linspace(1.0, 0.2, 9)
+COARSE_DELAYS = tuple(i * 0.02 for i in range(16))
+COARSE_GAINS = tuple(1.0 + i * 0.2 for i in range(16))
+COARSE_REDUCTIONS = tuple(1.0 - i * 0.1 for i in range(9))
 """Values of the margins that are tried first, in this order; see `last_settling`."""
 DELAY_STEP, GAIN_STEP = 0.005, 0.05
 """Resolution of the margins; that of the delay is the integration step [s]."""
@@ -73,6 +72,8 @@ class Case(NamedTuple):
     friction: float | None = None
     effect: float = 1.0
     """Factor on the commanded angle."""
+    misalignment: float = 0.0
+    """Road-wheel angle when straight ahead is commanded [rad]."""
     is_noisy: bool = False
 
 
@@ -101,7 +102,7 @@ def drive_cases(
                 noise=noise if case.is_noisy else None,
                 rng=rng,
             )
-            entries.append(Entry(simulation, subject.controller(), effect=case.effect))
+            entries.append(Entry(simulation, subject.controller(), case.misalignment, case.effect))
         logs += list(run_fleet(prepare_fleet(entries, LOST), threads))
         report(sum(case.scenario.duration for case in part))
     return [log[: ticks_of(case, subject.period)] for log, case in zip(logs, cases, strict=True)]
@@ -170,7 +171,7 @@ def disturbances(
         Values at each speed by key of `BOUNDS`.
     """
     car, T = subject.vehicle, subject.period
-    within = list(cars_within_spread(car, subject.spread))
+    within = subject.variations
     slippery, icy = (min(mu, car.tyre.friction) for mu in (CHANGE_FRICTION, JOIN_FRICTION))
 
     def cases_at(v: float) -> list[Case]:
@@ -182,8 +183,8 @@ def disturbances(
             Case(change, car, friction=slippery),
             Case(join, car, friction=icy),
             Case(change, car, is_noisy=True),
-            *(Case(change, other) for other in within),
-            *(Case(join, other) for other in within),
+            *(Case(change, v.car, None, v.effect, v.misalignment) for v in within),
+            *(Case(join, v.car, None, v.effect, v.misalignment) for v in within),
         ]
 
     # All drives of all speeds, in the order of `cases_at`
@@ -260,7 +261,9 @@ def margins(
         "gain_reduction_margin": (COARSE_REDUCTIONS, GAIN_STEP, scaled_steering),
     }
 
-    def measured(values: Array, step: float, case: Callable[[float, float], Case]) -> list[float]:
+    def measured(
+        values: tuple[float, ...], step: float, case: Callable[[float, float], Case]
+    ) -> list[float]:
         def settles(places: Sequence[int], at: Sequence[float]) -> list[bool]:
             cases = [case(float(speeds[i]), value) for i, value in zip(places, at, strict=True)]
             logs = drive_cases(subject, cases, threads, report)
@@ -278,7 +281,7 @@ def margin_case(car: Vehicle, v: float) -> Case:
 
 def last_settling(
     n: int,
-    values: Array,
+    values: Sequence[float],
     step: float,
     settles: Callable[[Sequence[int], Sequence[float]], list[bool]],
 ) -> list[float]:
@@ -344,7 +347,7 @@ def gains_in_use(plan: Plan) -> Gains | None:
         return None
     whole = (used.prediction_horizon, used.control_horizon, used.laguerre_terms)
     weights = (used.laguerre_pole, used.output_weight, used.increment_weight)
-    return Gains(*map(int, whole), *weights)
+    return Gains._make((*map(int, whole), *weights))
 
 
 def ramp(low: float, high: float) -> Scenario:
@@ -381,6 +384,6 @@ def driven_seconds(subject: Subject, speeds: Array) -> float:
     """Return how many seconds all drives take, for an estimate of the remaining time [s]."""
     per_margin = len(COARSE_DELAYS) + len(COARSE_GAINS) + len(COARSE_REDUCTIONS) + 5
     longer = np.maximum(SLOW / speeds, 1.0).sum()
-    drives = len(OFFSETS) + 5 + 2 * len(list(cars_within_spread(subject.vehicle, subject.spread)))
+    drives = len(OFFSETS) + 5 + 2 * len(subject.variations)
     ramps = 2.0 * (speeds[-1] - speeds[0]) / RAMP_ACCELERATION
     return float(longer * (per_margin * MARGIN_DURATION + drives * JOIN_DURATION) + ramps)

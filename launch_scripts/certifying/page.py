@@ -28,7 +28,7 @@ PANELS = {
     ),
 }
 """Panels of each figure: label, keys of the checks, scale."""
-FINEST = 1.0e-5
+FINEST = 1.0e-4
 """Smallest value on a logarithmic axis."""
 HEIGHT = 1.9
 """Height of a panel [inch]."""
@@ -50,12 +50,17 @@ def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> 
         styles = zip(keys, cycle(COLORS), cycle(MARKS), strict=False)
         for key, color, mark in styles:
             draw_check(ax, result, checks[key], (color, mark))
-        for check in (checks[key] for key in keys):
-            if not check.failed or len(keys) <= 2:
-                ax.axhline(check.bound.limit, color="#777777", linestyle="--", linewidth=1)
-        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+        draw_bounds(ax, [checks[key].bound.limit for key in keys])
+        ax.legend(fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     axes[-1].set_xlabel("speed [m/s]")
     return figure
+
+
+def draw_bounds(ax: Axes, limits: Sequence[float]) -> None:
+    """Draw the bounds of a panel; each has the colour of its curve unless all are equal."""
+    for limit, color in zip(limits, cycle(COLORS), strict=False):
+        shown = color if len(set(limits)) > 1 else "#777777"
+        ax.axhline(limit, color=shown, linestyle="--", linewidth=1)
 
 
 def draw_check(ax: Axes, result: Result, check: Check, style: tuple[str, str]) -> None:
@@ -70,9 +75,8 @@ def draw_check(ax: Axes, result: Result, check: Check, style: tuple[str, str]) -
             markerfacecolor="none")  # fmt: skip
     failed = list(check.failed)
     ax.plot(result.speeds[failed], shown[failed], mark, color=color, markersize=4)
-    lost = ~finite
-    ax.plot(result.speeds[lost], np.ones(lost.sum()), "x", color=color, markersize=5,
-            transform=ax.get_xaxis_transform(), clip_on=False)  # fmt: skip
+    for v in result.speeds[~finite]:
+        ax.plot(v, 1.0, "x", color=color, markersize=5, transform=ax.get_xaxis_transform())
 
 
 def rows_of(result: Result) -> list[tuple[str, ...]]:

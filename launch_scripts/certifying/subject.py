@@ -3,14 +3,16 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import ABSOLUTE_SPREADS, VehicleContent, read_vehicle
 from ampc_ros.certificate import CERTIFIED_CONTROLLERS
 from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
 from ampc_ros.controller import build_controller
@@ -24,10 +26,21 @@ EXTENT = 1.1
 DIGITS = 4
 """Significant digits of a speed."""
 FRONT, REAR = "chassis.front_cornering_stiffness", "chassis.rear_cornering_stiffness"
-DEFAULT_SPREAD = {FRONT: 0.3, REAR: 0.3, "chassis.mass": 0.2}
-"""Relative spread of a car whose file does not state one."""
+MASS = "chassis.mass"
+DEFAULT_SPREAD = {FRONT: 0.3, REAR: 0.3, MASS: 0.2}
+"""Relative spread of values that the vehicle file does not mark as estimated."""
 LEAST_FACTOR = 0.05
 """Least factor on an estimated value, for a spread of 1 or more."""
+
+
+class Variation(NamedTuple):
+    """A car that differs from the internal model of the controller."""
+
+    car: Vehicle
+    effect: float = 1.0
+    """Factor on the commanded angle."""
+    misalignment: float = 0.0
+    """Road-wheel angle when straight ahead is commanded [rad]."""
 
 
 class Subject(NamedTuple):
@@ -36,8 +49,8 @@ class Subject(NamedTuple):
     choices: Choices
     config: Configuration
     vehicle: Vehicle
-    spread: Mapping[str, float]
-    """Relative spread by dotted key of the vehicle file."""
+    content: VehicleContent
+    """Content of the vehicle file."""
     gain_table: Path
 
     def controller(self) -> CertifiedController:
@@ -45,6 +58,11 @@ class Subject(NamedTuple):
         controller = build_controller(self.config, self.gain_table)
         assert isinstance(controller, CertifiedController)
         return controller
+
+    @property
+    def variations(self) -> list[Variation]:
+        """Cars within the spread of the vehicle file."""
+        return list(cars_within_spread(self.vehicle, self.content.estimated))
 
     @property
     def period(self) -> float:
@@ -68,9 +86,9 @@ def load_subject(choices: Choices) -> Subject:
         raise ValueError(f"controller = {choices.controller!r} must be one of {names}")
     config, gains = configuration(choices), gain_file(choices)
     assert gains is not None
-    vehicle = load_vehicle_file(find("vehicles", choices.vehicle))
-    spread = dict(getattr(vehicle, "estimated", {}))
-    subject = Subject(choices, config, vehicle, spread, gains)
+    file = find("vehicles", choices.vehicle)
+    content = read_vehicle(file)
+    subject = Subject(choices, config, load_vehicle_file(file), content, gains)
     subject.controller()  # numerically singular gains are reported before anything is driven
     return subject
 
@@ -81,7 +99,7 @@ def speed_grid(nodes: Sequence[float], fastest: float) -> tuple[Array, Array]:
     The grid consists of the nodes of a table, PARTS of each interval, and EXTENT at both ends.
     """
     low, high = nodes[0], nodes[-1]
-    between = [a + part * (b - a) for a, b in zip(nodes, nodes[1:], strict=False) for part in PARTS]
+    between = [a + part * (b - a) for a, b in pairwise(nodes) for part in PARTS]
     beyond = [low / EXTENT, high * (1.0 + EXTENT) / 2.0, high * EXTENT]
     speeds = sorted({float(f"{v:.{DIGITS}g}") for v in (*nodes, *between, *beyond) if v > 0.0})
     grid = np.array(speeds)
@@ -107,39 +125,52 @@ def top_speed(vehicle: Vehicle) -> float:
     return low
 
 
-def cars_within_spread(vehicle: Vehicle, spread: Mapping[str, float]) -> Iterator[Vehicle]:
-    """Yield cars at the ends of the spread; both axles vary together, all other values alone.
+def cars_within_spread(vehicle: Vehicle, spread: Mapping[str, float]) -> Iterator[Variation]:
+    """Yield the cars at both ends of the spread of each value; both axles vary together.
+
+    A mass that is not estimated only grows: that is the load.
 
     Args:
         vehicle: Nominal car.
-        spread: Relative spread by dotted key; empty: DEFAULT_SPREAD, where the car is only heavier.
+        spread: Spread of estimated values by dotted key, see `vehicle_file`; DEFAULT_SPREAD holds
+            for keys that are missing.
 
     Raises:
-        ValueError: A key is no number of the vehicle file, or a value leaves its range.
+        ValueError: A value leaves its range.
     """
-    tyres = {key: size for key, size in (spread or DEFAULT_SPREAD).items() if key in (FRONT, REAR)}
-    others = {k: size for k, size in (spread or DEFAULT_SPREAD).items() if k not in tyres}
-    if tyres:
-        for sign in (-1.0, 1.0):
-            yield scaled(vehicle, {key: 1.0 + sign * size for key, size in tyres.items()})
-    for key, size in others.items():
-        for sign in (-1.0, 1.0) if spread else (1.0,):
-            yield scaled(vehicle, {key: 1.0 + sign * size})
+    sizes = {**DEFAULT_SPREAD, **spread}
+    nominal, tyres = Variation(vehicle), {key: sizes.pop(key) for key in (FRONT, REAR)}
+    for sign in (-1.0, 1.0):
+        softer = vary(nominal, FRONT, sign * tyres[FRONT])
+        yield vary(softer, REAR, sign * tyres[REAR])
+    for key, size in sizes.items():
+        if key.partition(".")[0] == "size":
+            continue
+        for sign in (-1.0, 1.0) if key in spread or key != MASS else (1.0,):
+            yield vary(nominal, key, sign * size)
 
 
-def scaled(vehicle: Vehicle, factors: Mapping[str, float]) -> Vehicle:
-    """Return a vehicle with numbers multiplied by factors, by dotted key.
+def vary(nominal: Variation, key: str, change: float) -> Variation:
+    """Return a variation with one value changed.
+
+    Args:
+        nominal: Variation to change.
+        key: Dotted key of the vehicle file.
+        change: Relative change, or an absolute one for the keys of ABSOLUTE_SPREADS.
 
     Raises:
-        ValueError: A key is no number of the vehicle file, or a value leaves its range.
+        ValueError: The value leaves its range.
     """
-    for key, factor in factors.items():
-        section, _, field = key.partition(".")
-        part = getattr(vehicle, section, None)
-        value = getattr(part, field, None)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value):
-            raise ValueError(f"estimated: {key} is no number of the vehicle file")
-        changed = {field: value * max(factor, LEAST_FACTOR)}
-        vehicle = vehicle._replace(**{section: replace(part, **changed)})
-    return vehicle
+    factor, car = max(1.0 + change, LEAST_FACTOR), nominal.car
+    if key == "steering.offset":
+        return nominal._replace(misalignment=change)
+    if key == "steering.ratio":
+        return nominal._replace(effect=1.0 / factor)
+    section, _, field = key.partition(".")
+    part: Any = getattr(car, section)
+    value = car.steering.time_constant if key == "steering.lag" else getattr(part, field)
+    if isinstance(value, str | bool) or math.isinf(value):
+        return nominal
+    value = max(value + change, 0.0) if key in ABSOLUTE_SPREADS else value * factor
+    sections: dict[str, Any] = {section: replace(part, **{field: value})}
+    return nominal._replace(car=car._replace(**sections))
