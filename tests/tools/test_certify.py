@@ -164,19 +164,14 @@ def settles_alone(subject: Subject, v: float, delay: float, effect: float) -> bo
     return bool(np.abs(errors[-round(5.0 / subject.period) :]).max() <= 0.05)
 
 
-@pytest.mark.parametrize(("controller", "car"), [("preview", "paper"), ("paper", "paper")])
-def test_margins_are_those_of_one_car_with_every_delay_and_factor(
-    controller: str, car: str
-) -> None:
-    subject, v = load_subject(Choices(controller, vehicle=car)), 8.0
+@pytest.mark.parametrize("v", [8.0, 13.0])
+def test_margins_are_those_of_one_car_with_every_delay_and_factor(v: float) -> None:
+    subject = load_subject(Choices(vehicle="ordinary"))
     found = margins(subject, np.array([v]), 1, silent)
-    for key, delays, step in (("delay_margin", True, 0.005), ("gain_margin", False, 0.05)):
-        for i in count():
-            delay, effect = (i * step, 1.0) if delays else (0.0, 1.0 + i * step)
-            if not settles_alone(subject, v, delay, effect):
-                break
-        least = delay if delays else effect
-        assert found[key] == [pytest.approx(least - step, abs=1e-9)]
+    delay = next(i for i in count() if not settles_alone(subject, v, 0.005 * i, 1.0))
+    assert found["delay_margin"] == [pytest.approx(0.005 * (delay - 1), abs=1e-9)]
+    factor = next(i for i in count() if not settles_alone(subject, v, 0.0, 1.0 + 0.05 * i))
+    assert found["gain_margin"] == [pytest.approx(1.0 + 0.05 * (factor - 1), abs=1e-9)]
 
 
 def test_gust_and_spread_are_those_of_one_car_driven_in_python() -> None:
@@ -213,8 +208,8 @@ def test_a_step_of_the_gains_is_measured_and_equal_gains_make_none() -> None:
         drive(Simulation(ORDINARY, road), meter)
         return max((size for _, size in meter.steps), default=0.0)
 
-    assert largest_step([node, node]) == 0.0
-    assert largest_step([node, other]) > 1e-4
+    assert largest_step([node, node]) < 1e-9
+    assert largest_step([node, other]) > 1e-5
 
 
 def test_the_grid_is_finer_than_the_table_and_ends_where_the_car_ends() -> None:
@@ -226,8 +221,7 @@ def test_the_grid_is_finer_than_the_table_and_ends_where_the_car_ends() -> None:
 
 def test_the_top_speed_is_that_of_a_simulated_car() -> None:
     weak = ORDINARY._replace(powertrain=replace(ORDINARY.powertrain, max_power=9000.0))
-    scenario = straight(60.0, 60.0, 0.0)
-    start = Simulation(weak, scenario._replace(duration=90.0))
+    start = Simulation(weak, straight(25.0, 150.0, 0.0))
     controller = load_subject(Choices(vehicle="ordinary")).controller()
     states = drive(start, controller).states
     assert states[-1].v_x == pytest.approx(top_speed(weak), abs=0.5)
