@@ -27,9 +27,10 @@ from launch_scripts.certifying.certificate import (
     to_text,
 )
 from launch_scripts.certifying.measurements import driven_seconds
-from launch_scripts.certifying.page import page, rows_of, shipped_rows
+from launch_scripts.certifying.page import figures, page, rows_of, shipped_rows
 from launch_scripts.certifying.subject import Subject, load_subject
 from launch_scripts.reporting.pages import terminal_table
+from launch_scripts.reporting.style import save_png
 from launch_scripts.run.options import create_folder, naming
 from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.search import write_atomically
@@ -68,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--settings", default=default.settings, help=text)
     text = "folder of certificate and page; default: where the controller looks for them"
     add("--output", type=Path, help=text)
+    add("--figures", type=Path, help="folder for the figures as PNG; default: none")
     add("--workers", type=int, default=os.cpu_count() or 1, help="number of threads")
     add("--shipped", action="store_true", help="certify every shipped table, into the package")
     return parser
@@ -92,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table_page = file.with_suffix(".html")
         command = certify_command(subject.choices, subject.gain_table)
         write_atomically(table_page, page(result, command, file.name))
+        if chosen.figures:
+            write_figures(result, chosen.figures)
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
@@ -128,6 +132,18 @@ def write(result: Result, folder: Path) -> Path:
     file = folder / file_name(result.subject)
     write_atomically(file, to_text(to_document(result)))
     return file
+
+
+def write_figures(result: Result, folder: Path) -> None:
+    """Write the figures of the page as PNG.
+
+    Raises:
+        ValueError: The folder cannot be created.
+    """
+    with naming("figures"):
+        create_folder(folder, exist_ok=True)
+    for name, figure in figures(result).items():
+        save_png(figure, folder / f"certificate_{name}.png")
 
 
 def print_verdict(result: Result, console: Console) -> None:

@@ -57,6 +57,8 @@ COARSE_REDUCTIONS = tuple(1.0 - i * 0.1 for i in range(9))
 """Values of the margins that are tried first, in this order; see `last_settling`."""
 DELAY_STEP, GAIN_STEP = 0.005, 0.05
 """Resolution of the margins; that of the delay is the integration step [s]."""
+LARGEST_ANGLE = 1.5
+"""Largest angle that `SteeringParameters` accept [rad]."""
 RAMP_ACCELERATION = 1.0
 """Acceleration of the speed ramp across the table [m/s^2]."""
 CHUNK = 128
@@ -71,7 +73,7 @@ class Case(NamedTuple):
     """Car that is driven; the controller assumes the car of the subject."""
     friction: float | None = None
     effect: float = 1.0
-    """Factor on the commanded angle."""
+    """Factor on the effect of the steering, behind its limits."""
     misalignment: float = 0.0
     """Road-wheel angle when straight ahead is commanded [rad]."""
     is_noisy: bool = False
@@ -96,7 +98,7 @@ def drive_cases(
         for case in part:
             rng = np.random.default_rng(SEED) if case.is_noisy else None
             simulation = Simulation(
-                case.car,
+                with_effect(case.car, case.effect),
                 case.scenario,
                 friction=case.friction,
                 noise=noise if case.is_noisy else None,
@@ -106,6 +108,18 @@ def drive_cases(
         logs += list(run_fleet(prepare_fleet(entries, LOST), threads))
         report(sum(case.scenario.duration for case in part))
     return [log[: ticks_of(case, subject.period)] for log, case in zip(logs, cases, strict=True)]
+
+
+def with_effect(car: Vehicle, effect: float) -> Vehicle:
+    """Return a car whose steering limits suit a factor on the commanded angle.
+
+    Delay and lag are linear, so the factor may stand in front of the steering if the limits of
+    angle and rate are multiplied as well: the car then turns its wheels as if the factor acted
+    behind the steering, as a wrong steering ratio does.
+    """
+    steering = car.steering
+    angle, rate = min(effect * steering.max_angle, LARGEST_ANGLE), effect * steering.max_rate
+    return car._replace(steering=replace(steering, max_angle=angle, max_rate=rate))
 
 
 def ticks_of(case: Case, period: float) -> int:

@@ -38,7 +38,7 @@ class Variation(NamedTuple):
 
     car: Vehicle
     effect: float = 1.0
-    """Factor on the commanded angle."""
+    """Factor on the effect of the steering, behind its limits."""
     misalignment: float = 0.0
     """Road-wheel angle when straight ahead is commanded [rad]."""
 

@@ -80,7 +80,7 @@ def plant(v: float, T: float) -> tuple[Array, Array]:
         F * l_f / I_z,
     )
     M[3, [0, 1]] = 1.0, v
-    full: Array = expm(M * T)
+    full: Array = np.asarray(expm(M * T), dtype=np.float64)
     return full[:4, :4], full[:4, 4]
 
 
@@ -155,8 +155,10 @@ class Altered:
 
 def settles_alone(subject: Subject, v: float, delay: float, effect: float) -> bool:
     """Return whether one car, driven in Python, settles on a straight road."""
-    steering = replace(subject.vehicle.steering, delay=subject.vehicle.steering.delay + delay)
-    car, to_cg = subject.vehicle._replace(steering=steering), 0.0
+    nominal = subject.vehicle.steering
+    limits = {"max_rate": effect * nominal.max_rate, "max_angle": min(effect * 0.6, 1.5)}
+    steering = replace(nominal, delay=nominal.delay + delay, **limits)
+    car = subject.vehicle._replace(steering=steering)
     scenario = straight(v, 15.0, 0.5)
     driven = drive(Simulation(car, scenario), Altered(subject.controller(), effect))
     to_cg = car.chassis.cg_to_rear_axle
