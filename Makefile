@@ -39,7 +39,7 @@ lint: dev  ## check format, style and types
 acceptance: dev  ## drive every case of the result table, into runs/acceptance
 	@$(VENV_PYTHON) -m tests.workshop.acceptance.acceptance
 
-certificates: dev  ## certify every shipped gain table anew, into the package (about 10 min)
+certificates: dev  ## certify every shipped gain table anew, into the package (4 min)
 	@$(VENV_PYTHON) launch_scripts/certify.py --shipped
 
 faults: dev  ## inject every kind of fault on every road, into runs/faults

@@ -14,10 +14,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from ampc_msgs_config.config import FOLDER, shipped
+from ampc_msgs_config.config import shipped
 from ampc_ros.certificate import CERTIFIED_CONTROLLERS, certify_command
 from ampc_ros.configuration import Choices
 from launch_scripts.certifying.certificate import (
+    SHIPPED_FOLDER,
     Result,
     certify,
     default_folder,
@@ -27,7 +28,7 @@ from launch_scripts.certifying.certificate import (
     to_text,
 )
 from launch_scripts.certifying.measurements import driven_seconds
-from launch_scripts.certifying.page import figures, page, rows_of, shipped_rows
+from launch_scripts.certifying.page import bounds_table, figures, page, results_table, rows_of
 from launch_scripts.certifying.subject import Subject, load_subject
 from launch_scripts.reporting.pages import terminal_table
 from launch_scripts.reporting.style import save_png
@@ -50,10 +51,12 @@ SHIPPED = (
     Choices("paper", vehicle="paper", gain_table="paper_pso"),
 )
 """Shipped tables with the shipped vehicles for which they are meant."""
-SHIPPED_FOLDER = FOLDER / "gains"
+PACKAGE_PAGES = Path("runs/certify")
+"""Folder of the page where the certificate is written into the package."""
+OTHER_FOLDER = "choose another folder with --output"
 
 
-def build_parser() -> argparse.ArgumentParser:
+def certify_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -77,7 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    chosen = build_parser().parse_args(arguments)
+    chosen = certify_parser().parse_args(arguments)
     console = Console(highlight=False, soft_wrap=True)
     try:
         if chosen.workers < 1:
@@ -89,11 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = chosen.output or default_folder(subject)
         with naming("output"):
             create_folder(folder, exist_ok=True)
-        result = run(subject, chosen.workers, console)
+        result = run_checks(subject, chosen.workers, console)
         file = write(result, folder)
-        table_page = file.with_suffix(".html")
         command = certify_command(subject.choices, subject.gain_table)
-        write_atomically(table_page, page(result, command, file.name))
+        page_folder = PACKAGE_PAGES if folder == SHIPPED_FOLDER else folder
+        table_page = page_folder / file.with_suffix(".html").name
+        write_atomically(table_page, page(result, command, file.name), OTHER_FOLDER)
         if chosen.figures:
             write_figures(result, chosen.figures)
     except ValueError as error:
@@ -106,11 +110,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.width = max(console.width, 120)
     console.print(terminal_table(heads, [row[:6] for row in rows_of(result)], "lrrrrl"))
     print_verdict(result, console)
-    console.print(f"written: {file} and {table_page.name}", markup=False)
+    console.print(f"written: {file} and {table_page}", markup=False)
     return 0 if result.certified else NOT_CERTIFIED
 
 
-def run(subject: Subject, threads: int, console: Console) -> Result:
+def run_checks(subject: Subject, threads: int, console: Console) -> Result:
     """Certify with progress.
 
     Raises:
@@ -130,7 +134,7 @@ def write(result: Result, folder: Path) -> Path:
         ValueError: The file cannot be written.
     """
     file = folder / file_name(result.subject)
-    write_atomically(file, to_text(to_document(result)))
+    write_atomically(file, to_text(to_document(result)), OTHER_FOLDER)
     return file
 
 
@@ -158,16 +162,17 @@ def print_verdict(result: Result, console: Console) -> None:
 
 
 def certify_shipped(folder: Path, threads: int, console: Console) -> int:
-    """Certify every shipped table, and print the table of the page `doc/certificate.md`.
+    """Certify every shipped table, and print the tables of the page `doc/certificate.md`.
 
     Raises:
         ValueError: A file cannot be read or written.
     """
-    results = []
+    documents = []
     for choices in SHIPPED:
-        results.append(run(load_subject(choices), threads, console))
-        write(results[-1], folder)
-    console.print("\n".join(shipped_rows(results)), markup=False)
+        result = run_checks(load_subject(choices), threads, console)
+        documents.append(to_document(result))
+        write(result, folder)
+    console.print("\n".join([*bounds_table(), "", *results_table(documents)]), markup=False)
     return 0
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.vehicle_file import read_vehicle
-from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, digest, identity_of
+from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, content_digest, identity_of
 from ampc_ros.configuration import Choices, configuration, gain_file
 
 
@@ -19,7 +19,7 @@ def certificate_of(choices: Choices, failures: tuple[str, ...] = ()) -> dict[str
         "failures": list(failures),
         "identity": identity_of(configuration(choices), vehicle)._asdict(),
     }
-    return {**content, "sha256": digest(content)}
+    return {**content, "sha256": content_digest(content)}
 
 
 def write_certificate(choices: Choices, failures: tuple[str, ...] = ()) -> Path:

@@ -63,7 +63,7 @@ class Certificate(Checked):
     identity: Identity
 
 
-def digest(content: Any) -> str:
+def content_digest(content: Any) -> str:
     """Return a SHA-256 of JSON values; equal numbers give equal digests."""
     text = json.dumps(_floats(content), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
@@ -93,7 +93,9 @@ def identity_of(config: Configuration, vehicle: VehicleContent) -> Identity:
     table = gain_table(config.gains)
     gains = [table.table.speeds.tolist(), table.table.references.tolist(), table.nodes]
     settings = {k: v for k, v in asdict(config.settings).items() if k not in NOT_IN_LOOP}
-    return Identity(config.controller, digest(car), digest(gains), digest(settings))
+    return Identity(
+        config.controller, content_digest(car), content_digest(gains), content_digest(settings)
+    )
 
 
 def read_certificate(file: Path) -> Certificate:
@@ -107,7 +109,7 @@ def read_certificate(file: Path) -> Certificate:
         if not isinstance(content, dict):
             raise ValueError(f"must hold a mapping, not {type(content).__name__}")
         expected = content.pop("sha256", None)
-        if digest(content) != expected:
+        if content_digest(content) != expected:
             raise ValueError("the digest sha256 does not fit the content")
     except (ValueError, RecursionError, OverflowError) as error:
         raise ValueError(f"{file.name}: damaged: {one_line(error)}") from error

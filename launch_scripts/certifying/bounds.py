@@ -35,11 +35,11 @@ def least(key: str, title: str, unit: str, limit: float, reason: str) -> Bound:
     return Bound(key, title, unit, limit, True, reason)
 
 
-LANE = (
+LANE_REASON = (
     "half of what a lane of 3.5 m leaves beside a car of 1.8 m (0.85 m), less 0.35 m for map and "
     "localisation; target of `make acceptance` for cars that differ from the model"
 )
-SETTLED = "target of `make acceptance` for joining a road from 3 m"
+SETTLED_REASON = "target of `make acceptance` for joining a road from 3 m"
 
 BOUNDS = (
     most(
@@ -86,9 +86,13 @@ BOUNDS = (
         "`not uncomfortable` in ISO 2631-1, annex C",
     ),
     most(
-        "joining_rest", "joining from 0.5 to 5 m: largest error in the last 3 s", "m", 0.05, SETTLED
+        "joining_rest",
+        "joining from 0.5 to 5 m: largest error in the last 3 s",
+        "m",
+        0.05,
+        SETTLED_REASON,
     ),
-    most("joining_overshoot", "joining from 0.5 to 5 m: overshoot", "m", 0.5, LANE),
+    most("joining_overshoot", "joining from 0.5 to 5 m: overshoot", "m", 0.5, LANE_REASON),
     most(
         "lane_change",
         "lane change at 2.5 m/s^2: largest error",
@@ -96,13 +100,17 @@ BOUNDS = (
         0.15,
         "target of `make acceptance` for a lane change of an independent car at 15 m/s",
     ),
-    most("gust", "gust of 15 m/s from the side, 2 s: largest error", "m", 0.5, LANE),
-    most("friction", "lane change, friction 0.5: largest error", "m", 0.5, LANE),
+    most("gust", "gust of 15 m/s from the side, 2 s: largest error", "m", 0.5, LANE_REASON),
+    most("friction", "lane change, friction 0.5: largest error", "m", 0.5, LANE_REASON),
     most(
-        "friction_rest", "joining from 3 m, friction 0.3: error in the last 3 s", "m", 0.05, SETTLED
+        "friction_rest",
+        "joining from 3 m, friction 0.3: error in the last 3 s",
+        "m",
+        0.05,
+        SETTLED_REASON,
     ),
-    most("friction_overshoot", "joining from 3 m, friction 0.3: overshoot", "m", 0.5, LANE),
-    most("noise", "lane change with noise x1: largest measured error", "m", 0.5, LANE),
+    most("friction_overshoot", "joining from 3 m, friction 0.3: overshoot", "m", 0.5, LANE_REASON),
+    most("noise", "lane change with noise x1: largest measured error", "m", 0.5, LANE_REASON),
     most(
         "noise_steering_rate",
         "lane change with noise x1: RMS steering rate",
@@ -110,14 +118,20 @@ BOUNDS = (
         30.0,
         "3 deg per tick of 0.1 s, target of `make acceptance` with noise",
     ),
-    most("spread", "lane change, car within its spread: largest error", "m", 0.5, LANE),
+    most("spread", "lane change, car within its spread: largest error", "m", 0.5, LANE_REASON),
     most(
         "spread_rest",
         "joining from 3 m, car within its spread: error in the last 3 s",
         "m",
         0.05,
-        SETTLED,
+        SETTLED_REASON,
     ),
-    most("spread_overshoot", "joining from 3 m, car within its spread: overshoot", "m", 0.5, LANE),
+    most(
+        "spread_overshoot",
+        "joining from 3 m, car within its spread: overshoot",
+        "m",
+        0.5,
+        LANE_REASON,
+    ),
 )
 """All bounds, in the order of the page."""

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import find, shipped
+from ampc_msgs_config.config import FOLDER, find, shipped
 from ampc_msgs_config.types import Array
-from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, digest, identity_of
+from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, content_digest, identity_of
 from launch_scripts.certifying.bounds import BOUNDS, Bound
 from launch_scripts.certifying.measurements import (
     disturbances,
@@ -26,9 +26,9 @@ from launch_scripts.certifying.subject import (
 )
 from launch_scripts.run.progress import Advance
 
-DIGITS, DECIMALS = 3, 4
+VALUE_DIGITS, VALUE_DECIMALS = 3, 4
 """Significant digits and decimals of a measured value."""
-ANY_CAR = Path("runs/certify")
+SHIPPED_FOLDER = FOLDER / "gains"
 """Folder of a certificate whose gain table and vehicle are both shipped."""
 
 
@@ -85,8 +85,14 @@ class Result(NamedTuple):
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Return a value with its unit; a value that is not finite means that the car was lost."""
-    return f"{value:g} {unit}".strip() if math.isfinite(value) else "lost"
+    """Return a value with its unit.
+
+    A value that is not finite means that the car was lost, or for times and factors that the loop
+    is unstable.
+    """
+    if math.isfinite(value):
+        return f"{value:g} {unit}".strip()
+    return "unstable" if unit in ("s", "") else "lost"
 
 
 def certify(subject: Subject, threads: int, advance: Advance) -> Result:
@@ -113,13 +119,13 @@ def certify(subject: Subject, threads: int, advance: Advance) -> Result:
         **disturbances(subject, speeds, threads, report("disturbances")),
         **gain_steps(subject, speeds, report("changes of the gains")),
     }
-    checks = tuple(Check(bound, tuple(map(rounded, values[bound.key]))) for bound in BOUNDS)
+    checks = tuple(Check(bound, tuple(map(rounded_value, values[bound.key]))) for bound in BOUNDS)
     return Result(subject, speeds, out_of_reach, checks)
 
 
-def rounded(value: float) -> float:
-    """Return a value with DIGITS significant digits and at most DECIMALS decimals."""
-    return round(float(f"{value:.{DIGITS}g}"), DECIMALS)
+def rounded_value(value: float) -> float:
+    """Return a value with VALUE_DIGITS significant digits and at most VALUE_DECIMALS decimals."""
+    return round(float(f"{value:.{VALUE_DIGITS}g}"), VALUE_DECIMALS)
 
 
 def to_document(result: Result) -> dict[str, Any]:
@@ -138,7 +144,7 @@ def to_document(result: Result) -> dict[str, Any]:
         "speeds": result.speeds.tolist(),
         "checks": [check_document(check, result.speeds) for check in result.checks],
     }
-    return {**content, "sha256": digest(content)}
+    return {**content, "sha256": content_digest(content)}
 
 
 def check_document(check: Check, speeds: Array) -> dict[str, Any]:
@@ -176,13 +182,14 @@ def file_name(subject: Subject) -> str:
 def default_folder(subject: Subject) -> Path:
     """Return the folder in which the controller looks for the certificate.
 
-    That of the gain table, or of the vehicle where the table is shipped with the package.
+    That of the gain table; of the vehicle where the table is shipped with the package; that of the
+    package where both are.
     """
     vehicle = find("vehicles", subject.choices.vehicle)
     for file, folder in ((subject.gain_table, "gains"), (vehicle, "vehicles")):
         if file not in shipped(folder).values():
             return file.parent
-    return ANY_CAR
+    return SHIPPED_FOLDER
 
 
 def loop_speeds(subject: Subject) -> Array:

@@ -24,9 +24,9 @@ from ampc_ros.preview import tick as preview
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.preview.model import SampledModel, sample_model
 
-SIZE = 1e-6
+DIFFERENCE = 1e-6
 """Size of the differences, small enough that no bound is active."""
-PATH = make_path([(0.0, 0.0), (400.0, 0.0)])
+STRAIGHT_PATH = make_path([(0.0, 0.0), (400.0, 0.0)])
 BEGIN = 100.0
 """Position of the car on the path [m]."""
 LARGEST_DELAY = 0.3
@@ -78,20 +78,20 @@ def loop_matrix(
     places, queue = memory_places(controller), actuator.ticks + 1
     on_path = copy.copy(controller)
     on_path.memory = controller.memory.copy()
-    on_path.step(VehicleState(NANOSECONDS, BEGIN, 0.0, 0.0, v_x, 0.0, 0.0), PATH)
+    on_path.step(VehicleState(NANOSECONDS, BEGIN, 0.0, 0.0, v_x, 0.0, 0.0), STRAIGHT_PATH)
 
     def tick(z: Array) -> Array:
         x, sent, memory = np.split(z, [STATES, STATES + queue])
         steered = with_memory(on_path, places, memory, v_x)
         state = VehicleState(2 * NANOSECONDS, BEGIN, x[3], x[1], v_x, x[0], x[2])
-        u = steered.step(at_distance(state, -steered.model.to_cg), PATH).steering
+        u = steered.step(at_distance(state, -steered.model.to_cg), STRAIGHT_PATH).steering
         inputs = np.append(sent, u)
         x = A @ x + B_old * inputs[0] + B_new * inputs[1]
         return np.concatenate((x, inputs[1:], steered.memory[places]))
 
     n = STATES + queue + len(places)
     origin = tick(np.zeros(n))
-    J: Array = np.array([(tick(SIZE * row) - origin) / SIZE for row in np.eye(n)]).T
+    J: Array = np.array([(tick(DIFFERENCE * row) - origin) / DIFFERENCE for row in np.eye(n)]).T
     if estimator:
         return J
     held = STATES + queue + np.flatnonzero(np.isin(places, estimator_places(controller)))

@@ -34,7 +34,7 @@ from launch_scripts.tuning.fleet_rows import Entry, prepare_fleet, run_fleet
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
-LOST = 10.0
+LOST_CAR_ERROR = 10.0
 """Cross-track error beyond which a drive ends [m]."""
 OFFSETS = (0.5, 1.0, 2.0, 3.0, 5.0)
 """Initial offsets of joining a straight road [m]."""
@@ -45,8 +45,8 @@ REST_TIME = 3.0
 CHANGE_FRICTION, JOIN_FRICTION = 0.5, 0.3
 """Friction of the lane change and of joining on a slippery road."""
 STEERING_SHARE = 0.5
-"""Share of the largest steering angle that the lane change may need at walking speed."""
-SEED = 1
+"""Share of the largest_error steering angle that the lane change may need at walking speed."""
+NOISE_SEED = 1
 """Seed of the measurement noise."""
 MARGIN_OFFSET, MARGIN_DURATION, MARGIN_REST_TIME, MARGIN_REST = 0.5, 15.0, 5.0, 0.05
 """Initial offset [m] and duration [s] of the drives of the margins. A car has settled if its error
@@ -96,7 +96,7 @@ def drive_cases(
     for begin in range(0, len(cases), CHUNK):
         part, entries = cases[begin : begin + CHUNK], []
         for case in part:
-            rng = np.random.default_rng(SEED) if case.is_noisy else None
+            rng = np.random.default_rng(NOISE_SEED) if case.is_noisy else None
             simulation = Simulation(
                 with_effect(case.car, case.effect),
                 case.scenario,
@@ -105,7 +105,7 @@ def drive_cases(
                 rng=rng,
             )
             entries.append(Entry(simulation, subject.controller(), case.misalignment, case.effect))
-        logs += list(run_fleet(prepare_fleet(entries, LOST), threads))
+        logs += list(run_fleet(prepare_fleet(entries, LOST_CAR_ERROR), threads))
         report(sum(case.scenario.duration for case in part))
     return [log[: ticks_of(case, subject.period)] for log, case in zip(logs, cases, strict=True)]
 
@@ -133,7 +133,7 @@ def error_of(log: Array) -> Array:
     return np.where(np.isfinite(log[:, CROSS_TRACK_ERROR]), error, np.inf)
 
 
-def largest(log: Array) -> float:
+def largest_error(log: Array) -> float:
     """Return the largest error of a drive [m]."""
     return float(np.abs(error_of(log)).max())
 
@@ -218,14 +218,14 @@ def disturbances(
     return {
         "joining_rest": worst(rest_of, join),
         "joining_overshoot": worst(overshoot, join),
-        "lane_change": worst(largest, [change]),
-        "gust": worst(largest, [gust]),
-        "friction": worst(largest, [slip]),
+        "lane_change": worst(largest_error, [change]),
+        "gust": worst(largest_error, [gust]),
+        "friction": worst(largest_error, [slip]),
         "friction_rest": worst(rest_of, [ice]),
         "friction_overshoot": worst(overshoot, [ice]),
-        "noise": worst(largest, [noise]),
+        "noise": worst(largest_error, [noise]),
         "noise_steering_rate": worst(lambda log: steering_rate(log, T), [noise]),
-        "spread": worst(largest, changed),
+        "spread": worst(largest_error, changed),
         "spread_rest": worst(rest_of, joined),
         "spread_overshoot": worst(overshoot, joined),
     }
@@ -382,7 +382,7 @@ def gain_steps(subject: Subject, speeds: Array, report: Report) -> dict[str, lis
         Largest step nearest to each speed, by key of `BOUNDS`.
     """
     road = ramp(float(speeds[0]), float(speeds[-1]))
-    noise, rng = load(MeasurementNoise, find("noise", "x1")), np.random.default_rng(SEED)
+    noise, rng = load(MeasurementNoise, find("noise", "x1")), np.random.default_rng(NOISE_SEED)
     meter = GainStepMeter(subject.controller())
     drive(Simulation(subject.vehicle, road, noise=noise, rng=rng), meter)
     chassis, largest_step = subject.vehicle.chassis, np.zeros(len(speeds))

@@ -1,20 +1,22 @@
 """Page of a certificate: verdict, checks, and figures over speed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from launch_scripts.certifying.bounds import BOUNDS
 from launch_scripts.certifying.certificate import Check, Result, with_unit
 from launch_scripts.reporting.pages import markdown_table, render
 from launch_scripts.reporting.style import BLUE, ORANGE, stack, svg
 
 MARKS = ("o", "s", "^", "v", "D")
-COLORS = (BLUE, ORANGE, "#009E73", "#CC79A7", "#E69F00")
+CURVE_COLORS = (BLUE, ORANGE, "#009E73", "#CC79A7", "#E69F00")
 """Colour-blind safe (Okabe and Ito)."""
-PANELS = {
+FIGURE_PANELS = {
     "margins": (
         ("delay margin [s]", ("delay_margin",), "linear"),
         ("gain margin [factor]", ("gain_margin", "gain_reduction_margin"), "linear"),
@@ -28,7 +30,7 @@ PANELS = {
     ),
 }
 """Panels of each figure: label, keys of the checks, scale."""
-FINEST = 1.0e-4
+LEAST_SHOWN = 1.0e-4
 """Smallest value on a logarithmic axis."""
 HEIGHT = 1.9
 """Height of a panel [inch]."""
@@ -36,7 +38,7 @@ HEIGHT = 1.9
 
 def figures(result: Result) -> dict[str, Figure]:
     """Return the figures of a certificate by name."""
-    return {name: draw(result, panels) for name, panels in PANELS.items()}
+    return {name: draw(result, panels) for name, panels in FIGURE_PANELS.items()}
 
 
 def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> Figure:
@@ -47,7 +49,7 @@ def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> 
         ax.set_yscale(scale)
         ax.set_ylabel(label)
         ax.margins(x=0.02)
-        styles = zip(keys, cycle(COLORS), cycle(MARKS), strict=False)
+        styles = zip(keys, cycle(CURVE_COLORS), cycle(MARKS), strict=False)
         for key, color, mark in styles:
             draw_check(ax, result, checks[key], (color, mark))
         draw_bounds(ax, [checks[key].bound.limit for key in keys])
@@ -58,7 +60,7 @@ def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> 
 
 def draw_bounds(ax: Axes, limits: Sequence[float]) -> None:
     """Draw the bounds of a panel; each has the colour of its curve unless all are equal."""
-    for limit, color in zip(limits, cycle(COLORS), strict=False):
+    for limit, color in zip(limits, cycle(CURVE_COLORS), strict=False):
         shown = color if len(set(limits)) > 1 else "#777777"
         ax.axhline(limit, color=shown, linestyle="--", linewidth=1)
 
@@ -67,7 +69,7 @@ def draw_check(ax: Axes, result: Result, check: Check, style: tuple[str, str]) -
     """Draw one check; values that break the bound have a filled mark."""
     color, mark = style
     values = np.array(check.values)
-    shown = np.maximum(values, FINEST) if ax.get_yscale() == "log" else values
+    shown = np.maximum(values, LEAST_SHOWN) if ax.get_yscale() == "log" else values
     finite = np.isfinite(values)
     shown = np.where(finite, shown, np.nan)
     label = check.bound.key.replace("_", " ")
@@ -114,28 +116,54 @@ def page(result: Result, command: str, file: str) -> str:
     )
 
 
-def shipped_rows(results: Sequence[Result]) -> list[str]:
-    """Return the table of the shipped results as lines of Markdown."""
-    heads = ("gain table", "controller", "car", "certified", "delay margin [s]", "gain margin",
-             "does not hold")  # fmt: skip
+def bounds_table() -> list[str]:
+    """Return the table of all bounds with their reasons as lines of Markdown."""
+    heads = ("key", "quantity, at every speed", "bound", "reason")
+    rows = [
+        (
+            f"`{bound.key}`",
+            bound.title,
+            f"{'>=' if bound.at_least else '<='} {with_unit(bound.limit, bound.unit)}",
+            bound.reason,
+        )
+        for bound in BOUNDS
+    ]
+    return markdown_table(heads, rows, "l")
+
+
+def results_table(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the table of several certificates as lines of Markdown.
+
+    Args:
+        documents: Contents of certificate files.
+    """
+    heads = ("gain table", "controller", "settings", "car", "speeds [m/s]", "certified",
+             "delay margin [s]", "gain margin", "what does not hold (speeds)")  # fmt: skip
     rows = []
-    for result in results:
-        worst = {check.bound.key: check.values[check.worst] for check in result.checks}
-        broken = [
-            f"{check.bound.key.replace('_', ' ')} ({len(check.failed)} of {len(result.speeds)})"
-            for check in result.checks
-            if check.failed
-        ]
-        choices = result.subject.choices
+    for each in documents:
+        checks = {check["key"]: check for check in each["checks"]}
+        failed = {
+            key.replace("_", " "): count_failed(check)
+            for key, check in checks.items()
+            if not check["holds"]
+        }
+        margins = [checks[key]["worst"] for key in ("delay_margin", "gain_margin")]
         rows.append(
             (
-                result.subject.gain_table.stem,
-                f"{choices.controller}, {choices.settings}",
-                choices.vehicle,
-                "yes" if result.certified else "NO",
-                with_unit(worst["delay_margin"], ""),
-                with_unit(worst["gain_margin"], ""),
-                ", ".join(broken),
+                each["gain_table"],
+                each["identity"]["controller"],
+                each["settings"],
+                each["vehicle"],
+                f"{each['speeds'][0]:g} to {each['speeds'][-1]:g}",
+                "yes" if each["certified"] else "**no**",
+                *("unstable" if margin is None else f"{margin:g}" for margin in margins),
+                "; ".join(f"{key} ({n} of {len(each['speeds'])})" for key, n in failed.items()),
             )
         )
-    return markdown_table(heads, rows, "lllrrl")
+    return markdown_table(heads, rows, "lllllrrl")
+
+
+def count_failed(check: Mapping[str, Any]) -> int:
+    """Return at how many speeds a check of a certificate file fails."""
+    bound = next(bound for bound in BOUNDS if bound.key == check["key"])
+    return sum(value is None or not bound.holds(value) for value in check["values"])

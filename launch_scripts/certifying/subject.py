@@ -19,11 +19,11 @@ from ampc_ros.controller import build_controller
 from launch_scripts.certifying.linear_loop import CertifiedController
 from sim_vehicle.parameters import Vehicle, load_vehicle_file
 
-PARTS = (0.25, 0.5, 0.75)
+INTERVAL_PARTS = (0.25, 0.5, 0.75)
 """Places between two nodes of a table that are checked."""
 EXTENT = 1.1
 """Factor by which the checked speeds exceed those of the table at both ends."""
-DIGITS = 4
+SPEED_DIGITS = 4
 """Significant digits of a speed."""
 FRONT, REAR = "chassis.front_cornering_stiffness", "chassis.rear_cornering_stiffness"
 MASS = "chassis.mass"
@@ -96,12 +96,14 @@ def load_subject(choices: Choices) -> Subject:
 def speed_grid(nodes: Sequence[float], fastest: float) -> tuple[Array, Array]:
     """Return the speeds to check, and those of the grid that the car cannot reach [m/s].
 
-    The grid consists of the nodes of a table, PARTS of each interval, and EXTENT at both ends.
+    The grid consists of the nodes of a table, INTERVAL_PARTS between them, and EXTENT at both ends.
     """
     low, high = nodes[0], nodes[-1]
-    between = [a + part * (b - a) for a, b in pairwise(nodes) for part in PARTS]
+    between = [a + part * (b - a) for a, b in pairwise(nodes) for part in INTERVAL_PARTS]
     beyond = [low / EXTENT, high * (1.0 + EXTENT) / 2.0, high * EXTENT]
-    speeds = sorted({float(f"{v:.{DIGITS}g}") for v in (*nodes, *between, *beyond) if v > 0.0})
+    speeds = sorted(
+        {float(f"{v:.{SPEED_DIGITS}g}") for v in (*nodes, *between, *beyond) if v > 0.0}
+    )
     grid = np.array(speeds)
     return grid[grid <= fastest], grid[grid > fastest]
 

@@ -16,7 +16,7 @@ from ampc_ros.certificate import (
     MAX_CERTIFICATE_BYTES,
     certificate_problem,
     certify_command,
-    digest,
+    content_digest,
     identity_of,
 )
 from ampc_ros.configuration import Choices, configuration
@@ -148,7 +148,7 @@ def test_any_value_with_a_fitting_digest_never_certifies(
     del content["sha256"]
     content[key] = value
     file = write_certificate(choices)
-    file.write_text(json.dumps({**content, "sha256": digest(content)}), encoding="utf-8")
+    file.write_text(json.dumps({**content, "sha256": content_digest(content)}), encoding="utf-8")
     assert problem(choices)
 
 

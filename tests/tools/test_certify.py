@@ -24,10 +24,15 @@ from ampc_ros.certificate import certificate_problem, identity_of, read_certific
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.preview.tick import DISTURBANCE, EXPECTED
-from launch_scripts.certify import SHIPPED, SHIPPED_FOLDER, main
+from launch_scripts.certify import SHIPPED, main
 from launch_scripts.certifying import measurements
 from launch_scripts.certifying.bounds import BOUNDS
-from launch_scripts.certifying.certificate import file_name, rounded
+from launch_scripts.certifying.certificate import (
+    SHIPPED_FOLDER,
+    default_folder,
+    file_name,
+    rounded_value,
+)
 from launch_scripts.certifying.linear_loop import (
     CertifiedController,
     loop_matrix,
@@ -42,6 +47,7 @@ from launch_scripts.certifying.measurements import (
     margins,
     time_constants,
 )
+from launch_scripts.certifying.page import bounds_table, results_table
 from launch_scripts.certifying.subject import (
     Subject,
     Variation,
@@ -54,8 +60,9 @@ from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.drives import straight
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
-from tests.certificates import write_certificate
+from tests.certificates import certificate_of, write_certificate
 
+ROOT = Path(__file__).resolve().parents[2]
 ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
 
 
@@ -166,7 +173,7 @@ def settles_alone(subject: Subject, v: float, delay: float, effect: float) -> bo
     return bool(np.abs(errors[-round(5.0 / subject.period) :]).max() <= 0.05)
 
 
-@pytest.mark.parametrize("v", [8.0, 13.0])
+@pytest.mark.parametrize("v", [3.5, 8.0])
 def test_margins_are_those_of_one_car_with_every_delay_and_factor(v: float) -> None:
     subject = load_subject(Choices(vehicle="ordinary"))
     found = margins(subject, np.array([v]), 1, silent)
@@ -297,6 +304,28 @@ def test_table_3_of_the_paper_is_refused_with_a_delay(tmp_path: Path) -> None:
     assert any("= lost" in failure for failure in certificate.failures)
 
 
+def test_a_certificate_is_written_where_the_controller_looks_for_it(tmp_path: Path) -> None:
+    car, table = tmp_path / "car" / "car.yaml", tmp_path / "table" / "t.yaml"
+    for file in (car, table):
+        file.parent.mkdir()
+    car.write_text("same_as: ordinary\n", encoding="utf-8")
+    write_table(table, [15.0])
+    for vehicle, gains, folder in (
+        (str(car), str(table), table.parent),
+        (str(car), "preview", car.parent),
+        ("ordinary", str(table), table.parent),
+        ("ordinary", "preview_paper", SHIPPED_FOLDER),
+    ):
+        choices = Choices(vehicle=vehicle, gain_table=gains)
+        assert default_folder(load_subject(choices)) == folder
+        if folder == SHIPPED_FOLDER:
+            continue
+        name = f"{Path(gains).stem}.{Path(vehicle).stem}.certificate.json"
+        content = json.dumps(certificate_of(choices))
+        (folder / name).write_text(content, encoding="utf-8")
+        assert certificate_problem(choices, configuration(choices)) == ""
+
+
 WRONG = {
     "vehicle": (["--vehicle", "none"], "'none' is neither a file nor"),
     "table": (["--gain-table", "none"], "'none' is neither a file nor"),
@@ -351,8 +380,17 @@ def test_shipped_certificates_are_measured_again_at_one_speed(choices: Choices, 
     stored = {check["key"]: check["values"][at] for check in content["checks"]}
     for key, (value,) in found.items():
         expected = math.inf if stored[key] is None else stored[key]
-        actual = rounded(value) if math.isfinite(value) else math.inf
+        actual = rounded_value(value) if math.isfinite(value) else math.inf
         assert actual == pytest.approx(expected, rel=0.006, abs=2e-4), key
+
+
+def test_the_page_lists_all_bounds_and_all_shipped_results() -> None:
+    names = [file_name(load_subject(choices)) for choices in SHIPPED]
+    contents = [json.loads((SHIPPED_FOLDER / name).read_text(encoding="utf-8")) for name in names]
+    lines = (ROOT / "ampc_ros/doc/certificate.md").read_text(encoding="utf-8").splitlines()
+    for table in (bounds_table(), results_table(contents)):
+        begin = lines.index(table[0])
+        assert lines[begin : begin + len(table)] == table
 
 
 def test_gain_steps_of_a_shipped_certificate_are_measured_again() -> None:
@@ -360,7 +398,7 @@ def test_gain_steps_of_a_shipped_certificate_are_measured_again() -> None:
     content = json.loads((SHIPPED_FOLDER / file_name(subject)).read_text(encoding="utf-8"))
     found = gain_steps(subject, np.array(content["speeds"]), silent)["gain_step"]
     stored = {check["key"]: check["values"] for check in content["checks"]}["gain_step"]
-    assert list(map(rounded, found)) == pytest.approx(stored, rel=0.006, abs=2e-4)
+    assert list(map(rounded_value, found)) == pytest.approx(stored, rel=0.006, abs=2e-4)
 
 
 def test_settings_of_the_certificate_are_those_of_the_controller() -> None:
