@@ -45,7 +45,7 @@ REST_TIME = 3.0
 CHANGE_FRICTION, JOIN_FRICTION = 0.5, 0.3
 """Friction of the lane change and of joining on a slippery road."""
 STEERING_SHARE = 0.5
-"""Share of the largest_error steering angle that the lane change may need at walking speed."""
+"""Share of the largest steering angle that the lane change may need at walking speed."""
 NOISE_SEED = 1
 """Seed of the measurement noise."""
 MARGIN_OFFSET, MARGIN_DURATION, MARGIN_REST_TIME, MARGIN_REST = 0.5, 15.0, 5.0, 0.05

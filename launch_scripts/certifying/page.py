@@ -92,7 +92,7 @@ def rows_of(result: Result) -> list[tuple[str, ...]]:
             f"{result.speeds[check.worst]:g} m/s",
             f"{len(result.speeds) - len(check.failed)} of {len(result.speeds)}",
             "fail" if check.failed else "pass",
-            check.bound.reason,
+            check.bound.reason.replace("`", ""),
         )
         for check in result.checks
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.validation import hints, number_bounds, unwrap
 from ampc_msgs_config.vehicle_file import ABSOLUTE_SPREADS, VehicleContent, read_vehicle
 from ampc_ros.certificate import CERTIFIED_CONTROLLERS
 from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
@@ -136,9 +137,6 @@ def cars_within_spread(vehicle: Vehicle, spread: Mapping[str, float]) -> Iterato
         vehicle: Nominal car.
         spread: Spread of estimated values by dotted key, see `vehicle_file`; DEFAULT_SPREAD holds
             for keys that are missing.
-
-    Raises:
-        ValueError: A value leaves its range.
     """
     sizes = {**DEFAULT_SPREAD, **spread}
     nominal, tyres = Variation(vehicle), {key: sizes.pop(key) for key in (FRONT, REAR)}
@@ -158,10 +156,8 @@ def vary(nominal: Variation, key: str, change: float) -> Variation:
     Args:
         nominal: Variation to change.
         key: Dotted key of the vehicle file.
-        change: Relative change, or an absolute one for the keys of ABSOLUTE_SPREADS.
-
-    Raises:
-        ValueError: The value leaves its range.
+        change: Relative change, or an absolute one for the keys of ABSOLUTE_SPREADS. The value
+            stays within its declared range.
     """
     factor, car = max(1.0 + change, LEAST_FACTOR), nominal.car
     if key == "steering.offset":
@@ -174,5 +170,9 @@ def vary(nominal: Variation, key: str, change: float) -> Variation:
     if isinstance(value, str | bool) or math.isinf(value):
         return nominal
     value = max(value + change, 0.0) if key in ABSOLUTE_SPREADS else value * factor
+    _, declared = unwrap(hints(type(part))[field])
+    if declared:
+        low, high = number_bounds(declared)
+        value = min(max(value, low), high)
     sections: dict[str, Any] = {section: replace(part, **{field: value})}
     return nominal._replace(car=car._replace(**sections))

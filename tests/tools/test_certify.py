@@ -251,6 +251,14 @@ def test_spread_of_the_vehicle_file_replaces_the_default() -> None:
     assert cars[4] == Variation(ORDINARY, 1 / 0.75)
 
 
+def test_a_spread_beyond_the_range_of_a_value_ends_at_its_bound() -> None:
+    spread = {"body.front_roll_share": 2.0, "steering.max_angle": 5.0, "steering.lag": 9.0}
+    cars = [variation.car for variation in cars_within_spread(ORDINARY, spread)][3:]
+    assert [car.body.front_roll_share for car in cars[:2]] == [pytest.approx(0.029), 1.0]
+    assert [car.steering.max_angle for car in cars[2:4]] == [pytest.approx(0.03), 1.5]
+    assert [car.steering.lag for car in cars[4:6]] == [0.0, 5.0]
+
+
 def write_table(file: Path, speeds: Sequence[float], **changes: float) -> Path:
     """Write the gains `preview` at these speeds, with numbers changed."""
     table = load_gain_table("preview")
@@ -308,7 +316,7 @@ def test_a_certificate_is_written_where_the_controller_looks_for_it(tmp_path: Pa
     car, table = tmp_path / "car" / "car.yaml", tmp_path / "table" / "t.yaml"
     for file in (car, table):
         file.parent.mkdir()
-    car.write_text("same_as: ordinary\n", encoding="utf-8")
+    car.write_text("same_as: ordinary\nchassis: {mass: 1490}\n", encoding="utf-8")
     write_table(table, [15.0])
     for vehicle, gains, folder in (
         (str(car), str(table), table.parent),
