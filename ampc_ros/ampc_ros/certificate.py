@@ -40,8 +40,10 @@ CAR_SECTIONS = ("tyre", "body", "aerodynamics", "powertrain")
 NOT_IN_LOOP = {
     *("state_late", "state_lost", "state_prediction", "path_late", "path_lost", "resume"),
     *("max_deviation", "end_deceleration", "path_noise", "look_ahead_time", "min_look_ahead"),
+    "adaptation",
 }
-"""Settings of supervision, path and pure pursuit, which change nothing on the certified drives."""
+"""Settings of supervision, path, pure pursuit and adaptation, which change nothing on the certified
+drives."""
 
 
 class Identity(NamedTuple):
