@@ -32,7 +32,7 @@ from launch_scripts.certifying.page import bounds_table, figures, page, results_
 from launch_scripts.certifying.subject import Subject, load_subject
 from launch_scripts.reporting.pages import terminal_table
 from launch_scripts.reporting.style import save_png
-from launch_scripts.run.options import create_folder, naming
+from launch_scripts.run.options import create_folder, naming, print_vehicle_warnings
 from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.search import write_atomically
 
@@ -89,6 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return certify_shipped(chosen.output or SHIPPED_FOLDER, chosen.workers, console)
         options = chosen.controller, chosen.vehicle, chosen.settings, chosen.gain_table
         subject = load_subject(Choices(*options))
+        print_vehicle_warnings(chosen.vehicle, console)
         folder = chosen.output or default_folder(subject)
         with naming("output"):
             create_folder(folder, exist_ok=True)

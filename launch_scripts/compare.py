@@ -40,6 +40,7 @@ from launch_scripts.run.options import (
     controller_label,
     create_folder,
     naming,
+    print_vehicle_warnings,
 )
 from sim_vehicle.car import CAR_RANGES
 from sim_vehicle.parameters import load_vehicle_file
@@ -96,6 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = shlex.join(sys.argv[1:] if arguments is None else arguments)
     try:
         conditions = conditions_of(options)
+        print_vehicle_warnings(options.vehicle, console)
         contenders = contenders_of(options.controllers, conditions)
         scenarios = scenarios_of(options, conditions)
         with naming("output"):

@@ -21,10 +21,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.config import shipped
+from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.metrics import METRICS, RESULT, Drive, evaluate_drive
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS, TickRecord
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
@@ -69,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         changes += [with_gains(options.gain_table)] if options.gain_table else []
         changes += [with_value(text) for text in options.set]
         begin = time.perf_counter()
-        run = read_run(options.bag, options.namespace)
+        file = find("vehicles", options.vehicle)
+        steering = load_section(SteeringParameters, file, "steering", "the replay")
+        run = read_run(options.bag, options.namespace, steering)
         reading = time.perf_counter() - begin
         configs, notes = run.config, run.notes
         if not configs:

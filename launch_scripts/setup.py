@@ -26,6 +26,7 @@ setup(
             "certify = launch_scripts.certify:main",
             "compare = launch_scripts.compare:main",
             "injector = launch_scripts.nodes.injector_node:main",
+            "new_car = launch_scripts.new_car:main",
             "recover = launch_scripts.recover:main",
             "replay = launch_scripts.replay:main",
             "report = launch_scripts.report:main",

@@ -22,7 +22,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.run.options import Run, prepare_run, read_run_options
+from launch_scripts.run.options import Run, prepare_run, print_vehicle_warnings, read_run_options
 from launch_scripts.run.processes import Processes, ros_environment
 
 START_TIME_OUT = 180.0
@@ -57,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, interrupt)
     try:
         run = prepare_run(options)
+        print_vehicle_warnings(options.vehicle, console)
         if run.scenario.note:
             console.print(f"{options.path}: {run.scenario.note}", markup=False, highlight=False)
         return finish(run, drive_run(run, console), console)

@@ -21,6 +21,7 @@ from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.certificate import certify_command
 from ampc_ros.configuration import Choices
 from ampc_ros.pso.swarm import Swarm
+from launch_scripts.run.options import print_vehicle_warnings
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
 from launch_scripts.tuning.report import TuningReport, prove, provenance, table_yaml
 from launch_scripts.tuning.search import Checkpoints, run_searches, write_atomically
@@ -104,6 +105,7 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     if chosen.workers < 1:
         raise ValueError(f"--workers {chosen.workers}: must be at least 1")
     task = read_task(chosen)
+    print_vehicle_warnings(task.vehicle, console)
     name = f"{Path(task.vehicle).stem}_{task.formulation}_{task.kind}.yaml"
     output = chosen.output or Path("runs/tune") / name
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))

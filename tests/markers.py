@@ -42,6 +42,7 @@ SLOW = {
     "test_further_formats_hold_the_same_numbers",
     "test_path_sent_again_is_followed_like_a_path_sent_once",
     "test_path_sent_at_each_tick_is_followed_like_a_path_sent_once",
+    "test_templates_drive_with_the_default_gains",
     "test_paper_s_controller_drives_sc1_as_an_independent_prototype_does",
 }
 """Files and tests that compute for more than two seconds, or compile functions of their own."""

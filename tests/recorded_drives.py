@@ -7,6 +7,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import type_name_of
 from ampc_msgs_config.types import TickRecord, VehicleState
@@ -52,10 +53,17 @@ class Bag:
         self.add(f"/{ros.ODOM}", message)
         return ros.vehicle_state(message)
 
-    def decision(self, record: TickRecord, commands: int, *, tick: bool = True) -> None:
+    def decision(
+        self,
+        record: TickRecord,
+        commands: int,
+        *,
+        tick: bool = True,
+        steering: SteeringParameters = ros.ROAD_WHEEL,
+    ) -> None:
         """Write a command and its tick record."""
         command = record.command
-        self.add(f"/{ros.STEERING_COMMAND}", ros.steering_message(command))
+        self.add(f"/{ros.STEERING_COMMAND}", ros.steering_message(command, steering))
         values = (*command.diagnosis, 0.001, 0.0, *record.quantities, 0, 0, commands)
         if tick:
             self.add(f"/{ros.TICK}", ros.tick_message(command.stamp_ns, values))

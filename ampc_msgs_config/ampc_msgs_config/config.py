@@ -21,7 +21,7 @@ from typing import Any, cast
 import msgspec
 import yaml
 
-from ampc_msgs_config.validation import T, convert, defaults, dotted, hints
+from ampc_msgs_config.validation import T, convert, defaults, did_you_mean, dotted, hints
 
 FOLDER = Path(str(resources.files("ampc_msgs_config"))) / "config"
 """Folder of the shipped files."""
@@ -103,7 +103,7 @@ def find(folder: str, name: str) -> Path:
     """
     known = shipped(folder)
     if name not in known and not Path(name).is_file():
-        names = ", ".join(known)
+        names = f"{', '.join(known)}{did_you_mean(name, known)}"
         raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
     return known.get(name, Path(name))
 

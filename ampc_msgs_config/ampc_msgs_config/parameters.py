@@ -4,9 +4,10 @@
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from ampc_msgs_config.validation import Checked, choice, described, number
 
@@ -23,8 +24,12 @@ real tyre flattens and reaches its peak at about this multiple of the linear ang
 class ChassisParameters(Checked):
     """Single-track model of a car, Table 3 of the paper: m, I_z, l_f, l_r, C_f, C_r."""
 
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "wheelbase": "; it is cg_to_front_axle + cg_to_rear_axle, which launch_scripts/new_car.py "
+        "computes from wheelbase and front share"
+    }
     mass: Annotated[float, number(1.0, 1.0e5, "kg", "Mass, m.")]
-    yaw_inertia: Annotated[float, number(0.01, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
+    yaw_inertia: Annotated[float, number(0.001, 1.0e6, "kg m^2", "Yaw inertia, I_z.")]
     cg_to_front_axle: Annotated[
         float, number(0.05, 20.0, "m", "Centre of gravity to front axle, l_f.")
     ]

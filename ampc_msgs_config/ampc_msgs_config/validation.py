@@ -8,8 +8,9 @@ the dotted key, the value and the bound to the message.
 
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from typing import (
     Annotated,
@@ -84,6 +85,8 @@ class Checked:
 
     RENAMED: ClassVar[Mapping[str, str]] = {}
     """Former key -> present key; a former key is rejected with the present one in the message."""
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {}
+    """Key that users expect here -> end of the message that rejects it."""
 
     def __post_init__(self) -> None:
         """Check every field against its declaration."""
@@ -166,7 +169,9 @@ def _record(cls: type[T], content: Any, key: str) -> T:
             raise ValueError(f"{where}key {name!r} is now {renamed[name]!r}")
         if name not in known and name != tag:
             keys = ", ".join([tag, *known] if tag else known)
-            raise ValueError(f"{where}unknown key {shown(name)}; known are {keys or 'none'}")
+            near = getattr(cls, "ELSEWHERE", {}).get(name) or did_you_mean(name, known)
+            known_keys = f"known are {keys or 'none'}"
+            raise ValueError(f"{where}unknown key {shown(name)}; {known_keys}{near}")
     for name, default in known.items():
         if name not in content and default is MISSING:
             raise ValueError(f"{where}missing key {name!r}")
@@ -176,6 +181,12 @@ def _record(cls: type[T], content: Any, key: str) -> T:
         return cls(**values)
     except ValueError as error:  # what ties several fields together
         raise ValueError(dotted(key, str(error))) from error
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of a message with the known name that is most similar, or an empty text."""
+    near = get_close_matches(str(name), known, 1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def check_mapping(content: Any, key: str) -> None:

@@ -1,11 +1,12 @@
 """Read vehicle files: sections, inheritance with `same_as`, and marks of estimated values."""
 
+import json
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ampc_msgs_config.config import build, find, read, shipped
-from ampc_msgs_config.validation import T, check_mapping, convert, number
+from ampc_msgs_config.config import build, read, shipped, shipped_schema
+from ampc_msgs_config.validation import T, check_mapping, convert, did_you_mean, hints, number
 
 SECTIONS = ("chassis", "steering", "size", "tyre", "body", "aerodynamics", "powertrain")
 """Sections of a vehicle file; controllers use the first two, the simulated car uses all."""
@@ -13,6 +14,13 @@ SAME_AS, ESTIMATED = "same_as", "estimated"
 SPREAD = number(0.0, 10.0, "", "Spread of an estimated value, about 95 %.")
 ABSOLUTE_SPREADS = ("steering.delay", "steering.lag", "steering.offset")
 """Values whose spread is absolute, in their own unit; all other spreads are relative."""
+
+REMARKS = {
+    "missing key": "; launch_scripts/new_car.py estimates what no data sheet states",
+    "steering.max_angle =": "; it is a road-wheel angle: that of the steering wheel divided by its "
+    "ratio",
+}
+"""Ends of messages by a part of the message."""
 
 
 class VehicleContent(NamedTuple):
@@ -52,7 +60,20 @@ class VehicleContent(NamedTuple):
                 f"{self.where}: missing section {name!r}, which {user} needs: {remedy}"
                 "with launch_scripts/new_car.py"
             )
-        return build(cls, self.sections[name], self.where, name)
+        try:
+            return build(cls, self.sections[name], self.where, name)
+        except ValueError as error:
+            raise ValueError(f"{error}{self._remark(cls, name, str(error))}") from error
+
+    def _remark(self, cls: type, name: str, problem: str) -> str:
+        """Return the end of a message about a section: where a key belongs, or how to get it."""
+        parts = json.loads(shipped_schema("vehicle").read_text(encoding="utf-8"))["$defs"]
+        for key in self.sections[name]:
+            for section, part in parts["Vehicle"]["properties"].items():
+                fields = parts.get(part.get("$ref", "").rpartition("/")[2], {"properties": {}})
+                if key in fields["properties"] and key not in hints(cls):
+                    return f"; {key!r} is a key of the section {section!r}"
+        return next((text for start, text in REMARKS.items() if start in problem), "")
 
 
 def read_vehicle(file: Path) -> VehicleContent:
@@ -79,7 +100,8 @@ def _inherit(file: Path, heirs: tuple[Path, ...]) -> VehicleContent:
     for name in content:
         if name not in (SAME_AS, ESTIMATED, *SECTIONS):
             known = ", ".join((SAME_AS, ESTIMATED, *SECTIONS))
-            raise ValueError(f"{file}: unknown section {name!r}; known are {known}")
+            near = did_you_mean(name, SECTIONS)
+            raise ValueError(f"{file}: unknown section {name!r}; known are {known}{near}")
     base = VehicleContent((), {}, {})
     if SAME_AS in content:
         base = _inherit(_parent(file, content[SAME_AS]), chain)
@@ -93,10 +115,12 @@ def _parent(file: Path, name: object) -> Path:
     """Return the file of a shipped name, or of a path relative to the file that inherits."""
     if not isinstance(name, str) or not name:
         raise ValueError(f"{file}: {SAME_AS} = {name!r} must be a shipped vehicle or a file")
-    try:
-        return find("vehicles", name if name in shipped("vehicles") else str(file.parent / name))
-    except ValueError as error:
-        raise ValueError(f"{file}: {SAME_AS}: {error}") from error
+    known, beside = shipped("vehicles"), file.parent / name
+    if name not in known and not beside.is_file():
+        names = f"{', '.join(known)}{did_you_mean(name, known)}"
+        problem = f"is neither the file {beside} nor one of the shipped vehicles: {names}"
+        raise ValueError(f"{file}: {SAME_AS} = {name!r} {problem}")
+    return known.get(name, beside)
 
 
 def _merge(file: Path, content: dict[str, Any], base: VehicleContent) -> VehicleContent:

@@ -41,7 +41,7 @@ LANE_REASON = (
 )
 SETTLED_REASON = "target of `make acceptance` for joining a road from 3 m"
 
-BOUNDS = (
+ACCEPTANCE_BOUNDS = (
     most(
         "loop_time_constant",
         "slowest mode of the loop, estimator held: time constant",

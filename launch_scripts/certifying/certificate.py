@@ -11,7 +11,7 @@ import numpy as np
 from ampc_msgs_config.config import FOLDER, find, shipped
 from ampc_msgs_config.types import Array
 from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, content_digest, identity_of
-from launch_scripts.certifying.bounds import BOUNDS, Bound
+from launch_scripts.certifying.bounds import ACCEPTANCE_BOUNDS, Bound
 from launch_scripts.certifying.measurements import (
     disturbances,
     gain_steps,
@@ -119,7 +119,9 @@ def certify(subject: Subject, threads: int, advance: Advance) -> Result:
         **disturbances(subject, speeds, threads, report("disturbances")),
         **gain_steps(subject, speeds, report("changes of the gains")),
     }
-    checks = tuple(Check(bound, tuple(map(rounded_value, values[bound.key]))) for bound in BOUNDS)
+    checks = tuple(
+        Check(bound, tuple(map(rounded_value, values[bound.key]))) for bound in ACCEPTANCE_BOUNDS
+    )
     return Result(subject, speeds, out_of_reach, checks)
 
 

@@ -24,7 +24,7 @@ from ampc_ros.preview import tick as preview
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.preview.model import SampledModel, sample_model
 
-DIFFERENCE = 1e-6
+DIFFERENCE_SIZE = 1e-6
 """Size of the differences, small enough that no bound is active."""
 STRAIGHT_PATH = make_path([(0.0, 0.0), (400.0, 0.0)])
 BEGIN = 100.0
@@ -91,7 +91,9 @@ def loop_matrix(
 
     n = STATES + queue + len(places)
     origin = tick(np.zeros(n))
-    J: Array = np.array([(tick(DIFFERENCE * row) - origin) / DIFFERENCE for row in np.eye(n)]).T
+    J: Array = np.array(
+        [(tick(DIFFERENCE_SIZE * row) - origin) / DIFFERENCE_SIZE for row in np.eye(n)]
+    ).T
     if estimator:
         return J
     held = STATES + queue + np.flatnonzero(np.isin(places, estimator_places(controller)))

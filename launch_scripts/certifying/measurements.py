@@ -57,7 +57,7 @@ COARSE_REDUCTIONS = tuple(1.0 - i * 0.1 for i in range(9))
 """Values of the margins that are tried first, in this order; see `last_settling`."""
 DELAY_STEP, GAIN_STEP = 0.005, 0.05
 """Resolution of the margins; that of the delay is the integration step [s]."""
-LARGEST_ANGLE = 1.5
+LARGEST_WHEEL_ANGLE = 1.5
 """Largest angle that `SteeringParameters` accept [rad]."""
 RAMP_ACCELERATION = 1.0
 """Acceleration of the speed ramp across the table [m/s^2]."""
@@ -118,7 +118,7 @@ def with_effect(car: Vehicle, effect: float) -> Vehicle:
     behind the steering, as a wrong steering ratio does.
     """
     steering = car.steering
-    angle, rate = min(effect * steering.max_angle, LARGEST_ANGLE), effect * steering.max_rate
+    angle, rate = min(effect * steering.max_angle, LARGEST_WHEEL_ANGLE), effect * steering.max_rate
     return car._replace(steering=replace(steering, max_angle=angle, max_rate=rate))
 
 
@@ -133,7 +133,7 @@ def error_of(log: Array) -> Array:
     return np.where(np.isfinite(log[:, CROSS_TRACK_ERROR]), error, np.inf)
 
 
-def largest_error(log: Array) -> float:
+def largest_deviation(log: Array) -> float:
     """Return the largest error of a drive [m]."""
     return float(np.abs(error_of(log)).max())
 
@@ -182,7 +182,7 @@ def disturbances(
     """Drive with offsets, gust, low friction, noise and cars within the spread.
 
     Returns:
-        Values at each speed by key of `BOUNDS`.
+        Values at each speed by key of `ACCEPTANCE_BOUNDS`.
     """
     car, T = subject.vehicle, subject.period
     within = subject.variations
@@ -218,14 +218,14 @@ def disturbances(
     return {
         "joining_rest": worst(rest_of, join),
         "joining_overshoot": worst(overshoot, join),
-        "lane_change": worst(largest_error, [change]),
-        "gust": worst(largest_error, [gust]),
-        "friction": worst(largest_error, [slip]),
+        "lane_change": worst(largest_deviation, [change]),
+        "gust": worst(largest_deviation, [gust]),
+        "friction": worst(largest_deviation, [slip]),
         "friction_rest": worst(rest_of, [ice]),
         "friction_overshoot": worst(overshoot, [ice]),
-        "noise": worst(largest_error, [noise]),
+        "noise": worst(largest_deviation, [noise]),
         "noise_steering_rate": worst(lambda log: steering_rate(log, T), [noise]),
-        "spread": worst(largest_error, changed),
+        "spread": worst(largest_deviation, changed),
         "spread_rest": worst(rest_of, joined),
         "spread_overshoot": worst(overshoot, joined),
     }
@@ -239,7 +239,7 @@ def time_constants(subject: Subject, speeds: Array) -> dict[str, list[float]]:
         speeds: (n,) [m/s].
 
     Returns:
-        Values at each speed by key of `BOUNDS`.
+        Values at each speed by key of `ACCEPTANCE_BOUNDS`.
     """
     car, T = subject.vehicle, subject.period
 
@@ -259,7 +259,7 @@ def margins(
     """Measure delay margin [s] and gain margins on the nonlinear car.
 
     Returns:
-        Values at each speed by key of `BOUNDS`; nan where the nominal car does not settle.
+        Values at each speed by key of `ACCEPTANCE_BOUNDS`; nan where the nominal car does not settle.
     """
 
     def delayed(v: float, delay: float) -> Case:
@@ -379,7 +379,7 @@ def gain_steps(subject: Subject, speeds: Array, report: Report) -> dict[str, lis
     of the command counts as that of the steady lateral acceleration of its angle.
 
     Returns:
-        Largest step nearest to each speed, by key of `BOUNDS`.
+        Largest step nearest to each speed, by key of `ACCEPTANCE_BOUNDS`.
     """
     road = ramp(float(speeds[0]), float(speeds[-1]))
     noise, rng = load(MeasurementNoise, find("noise", "x1")), np.random.default_rng(NOISE_SEED)

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from launch_scripts.certifying.bounds import BOUNDS
+from launch_scripts.certifying.bounds import ACCEPTANCE_BOUNDS
 from launch_scripts.certifying.certificate import Check, Result, with_unit
 from launch_scripts.reporting.pages import markdown_table, render
 from launch_scripts.reporting.style import BLUE, ORANGE, stack, svg
 
 MARKS = ("o", "s", "^", "v", "D")
-CURVE_COLORS = (BLUE, ORANGE, "#009E73", "#CC79A7", "#E69F00")
+CHECK_COLORS = (BLUE, ORANGE, "#009E73", "#CC79A7", "#E69F00")
 """Colour-blind safe (Okabe and Ito)."""
 FIGURE_PANELS = {
     "margins": (
@@ -49,7 +49,7 @@ def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> 
         ax.set_yscale(scale)
         ax.set_ylabel(label)
         ax.margins(x=0.02)
-        styles = zip(keys, cycle(CURVE_COLORS), cycle(MARKS), strict=False)
+        styles = zip(keys, cycle(CHECK_COLORS), cycle(MARKS), strict=False)
         for key, color, mark in styles:
             draw_check(ax, result, checks[key], (color, mark))
         draw_bounds(ax, [checks[key].bound.limit for key in keys])
@@ -60,7 +60,7 @@ def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> 
 
 def draw_bounds(ax: Axes, limits: Sequence[float]) -> None:
     """Draw the bounds of a panel; each has the colour of its curve unless all are equal."""
-    for limit, color in zip(limits, cycle(CURVE_COLORS), strict=False):
+    for limit, color in zip(limits, cycle(CHECK_COLORS), strict=False):
         shown = color if len(set(limits)) > 1 else "#777777"
         ax.axhline(limit, color=shown, linestyle="--", linewidth=1)
 
@@ -126,7 +126,7 @@ def bounds_table() -> list[str]:
             f"{'>=' if bound.at_least else '<='} {with_unit(bound.limit, bound.unit)}",
             bound.reason,
         )
-        for bound in BOUNDS
+        for bound in ACCEPTANCE_BOUNDS
     ]
     return markdown_table(heads, rows, "l")
 
@@ -165,5 +165,5 @@ def results_table(documents: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def count_failed(check: Mapping[str, Any]) -> int:
     """Return at how many speeds a check of a certificate file fails."""
-    bound = next(bound for bound in BOUNDS if bound.key == check["key"])
+    bound = next(bound for bound in ACCEPTANCE_BOUNDS if bound.key == check["key"])
     return sum(value is None or not bound.holds(value) for value in check["values"])

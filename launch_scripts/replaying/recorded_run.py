@@ -9,6 +9,7 @@ import numpy as np
 
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import parse
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import open_bag
@@ -27,6 +28,10 @@ NO_AGES = {"state_age": 0.0, "state_silence": 0.0, "path_age": 0.0, "path_silenc
 """Ages in a bag without tick records: a drive in lock-step, in which no input is late."""
 
 
+CONVERSION_ROUNDING = 1.0e-12
+"""Rounding error of a command that is read back from a topic with ratio or offset [rad]."""
+
+
 class RecordedPath(NamedTuple):
     """A reference path as it was published."""
 
@@ -43,7 +48,7 @@ class RecordedTick(NamedTuple):
     state: VehicleState
     path: RecordedPath
     values: dict[str, float]
-    """All quantities of the tick by name; without tick records ages and `steering`."""
+    """All quantities of the tick by name; without tick records ages, `steering`, its `rounding`."""
 
     def ago_ns(self, quantity: str) -> int:
         """Return the time of the tick minus a quantity of the tick [ns]."""
@@ -93,12 +98,15 @@ class Answer(NamedTuple):
     values: dict[str, float]
 
 
-def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
+def read_run(
+    bag: File, namespace: str | None = None, steering: SteeringParameters = ros.ROAD_WHEEL
+) -> RecordedRun:
     """Read a run from a bag.
 
     Args:
         bag: Folder of the bag, or one MCAP file.
         namespace: Namespace of the topics, such as `/car1`; None: that of the first command.
+        steering: Ratio and offset of the steering topics, where the bag has no configuration.
 
     Raises:
         ValueError: Required messages are missing; with bag and topic.
@@ -107,7 +115,7 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     answers: dict[str, list[Answer]] = {topics.TICK: [], topics.STEERING_COMMAND: []}
     with open_bag(bag) as opened:
         prefix = namespace_of(opened) if namespace is None else namespace.rstrip("/")
-        steering = topic_steering(opened, f"{prefix}/") or ros.ROAD_WHEEL
+        steering = topic_steering(opened, f"{prefix}/") or steering
         heard = {f"{prefix}/{name}": name for name in INPUTS}
         for name in INPUTS:
             if (faulty := f"{prefix}/{topics.FAULTY}{name}") in opened.topics:
@@ -131,7 +139,8 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
                     answers[name].append(Answer(position, stamp_ns, values))
                 else:
                     angle = ros.steering_angle(message, steering).value
-                    values = {"steering": angle, **NO_AGES}
+                    rounding = 0.0 if angle == message.position[0] else CONVERSION_ROUNDING
+                    values = {"steering": angle, "rounding": rounding, **NO_AGES}
                     answers[name].append(Answer(position, stamp_ns, values))
             except ValueError:
                 continue  # the controller must have rejected it, too

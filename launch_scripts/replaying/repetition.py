@@ -85,6 +85,7 @@ def differences(tick: RecordedTick, record: TickRecord, tolerance: float) -> lis
         **record.command.plan.diagnosis._asdict(),
         **dict(zip(RECORD_QUANTITIES, record.quantities, strict=True)),
     }
+    tolerance = max(tolerance, tick.values.get("rounding", 0.0))
     if tolerance > 0 or "rung" not in tick.values:
         replayed = {"steering": replayed["steering"]}
     pairs = ((name, tick.values[name], replayed[name]) for name in replayed if name in tick.values)

@@ -8,10 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rich.console import Console
+from rich.text import Text
+
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.vehicle_warnings import file_warnings
 from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
 from ampc_ros.mpc.gain_table import load_gain_table
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
@@ -110,6 +114,20 @@ def check_files(options: argparse.Namespace) -> None:
         if getattr(options, option, ""):
             with naming(option):
                 read(find(folder, getattr(options, option)))
+
+
+def print_vehicle_warnings(vehicle: str, console: Console) -> None:
+    """Print a line for each implausible value of a vehicle.
+
+    Args:
+        vehicle: Shipped name, or file.
+        console: Output.
+
+    Raises:
+        ValueError: The file is missing or wrong.
+    """
+    for sentence in file_warnings(find("vehicles", vehicle)):
+        console.print(Text.assemble(("warning:", "yellow"), f" {sentence}"))
 
 
 @contextmanager

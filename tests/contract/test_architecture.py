@@ -15,7 +15,17 @@ BELOW = {
 }
 """Packages that a package may import, itself included."""
 OURS = {*BELOW, "tests"}
-COMMANDS = {"start", "report", "replay", "recover", "compare", "tune", "reproduce", "bootstrap"}
+COMMANDS = {
+    "start",
+    "report",
+    "replay",
+    "recover",
+    "compare",
+    "tune",
+    "reproduce",
+    "bootstrap",
+    "new_car",
+}
 COMMANDS |= {"compile_all", "certify", "setup", "__init__"}
 """Files at the top of launch_scripts."""
 STUDY = {"launch_scripts.study", "launch_scripts.reproduce"}

@@ -26,7 +26,7 @@ from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.preview.tick import DISTURBANCE, EXPECTED
 from launch_scripts.certify import SHIPPED, main
 from launch_scripts.certifying import measurements
-from launch_scripts.certifying.bounds import BOUNDS
+from launch_scripts.certifying.bounds import ACCEPTANCE_BOUNDS
 from launch_scripts.certifying.certificate import (
     SHIPPED_FOLDER,
     default_folder,
@@ -280,7 +280,9 @@ def test_a_certificate_has_the_same_bytes_on_each_run_and_the_node_accepts_it(
     assert main([*options, "--workers", "3"]) == 0
     assert (file.read_bytes(), page.read_bytes()) == first
     content = json.loads(first[0])
-    assert [check["key"] for check in content["checks"]] == [bound.key for bound in BOUNDS]
+    assert [check["key"] for check in content["checks"]] == [
+        bound.key for bound in ACCEPTANCE_BOUNDS
+    ]
     assert all(len(check["values"]) == len(content["speeds"]) for check in content["checks"])
     assert "certified" in capsys.readouterr().out
     choices = Choices(vehicle="ordinary", gain_table=str(table))

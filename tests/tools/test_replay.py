@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
@@ -17,7 +18,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, load_scenario
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.configuration import Choices, configuration
+from ampc_ros.configuration import Choices, configuration, from_yaml, to_yaml
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replay import main
 from launch_scripts.replaying.recorded_run import read_run
@@ -296,6 +297,42 @@ def test_a_bag_without_ticks_is_taken_as_lock_step(
     said = capsys.readouterr().out
     assert "no controller/tick" in said
     assert "no controller/configuration" in said
+
+
+@pytest.mark.parametrize("tick", [True, False])
+@pytest.mark.parametrize("configured", [True, False])
+def test_a_bag_of_steering_wheel_angles_replays(
+    tick: bool, configured: bool, tmp_path: Path
+) -> None:
+    car, scenario = tmp_path / "geared.yaml", scenario_of("sc1", 1.0)
+    car.write_text("same_as: paper\nsteering: {ratio: 14.7, offset: 0.02}\n", encoding="utf-8")
+    choices = Choices(vehicle=str(car), static_path=True, simulated_time=True)
+    supervisor = Supervisor(configuration(choices))
+    steering = supervisor.config.steering
+    with Bag(tmp_path / "bag") as bag:
+        if configured:
+            bag.configuration(supervisor)
+        bag.path(scenario.points, 0)
+        supervisor.take_path(scenario.points, 0, 0)
+        for k in range(1, 6):
+            state = bag.state(VehicleState(k * TICK_NS, 0.9 * k, 0.3, 0.0, 9.0, 0.0, 0.0))
+            supervisor.take_state(state, state.stamp_ns)
+            decision = supervisor.tick(state.stamp_ns)
+            assert decision
+            bag.decision(decision, k, tick=tick, steering=steering)
+    vehicle = [] if configured else ["--vehicle", str(car)]
+    assert main([str(tmp_path / "bag"), *vehicle]) == 0
+    assert abs(supervisor.steering) > 0.01
+
+
+def test_a_configuration_recorded_before_ratio_and_offset_has_neither() -> None:
+    config = configuration(Choices())
+    content = yaml.safe_load(to_yaml(config, 1))
+    for key in ("ratio", "offset"):
+        del content["steering"][key]
+    read_back, _ = from_yaml(yaml.safe_dump(content), "an old bag")
+    assert read_back.steering == config.steering
+    assert (read_back.steering.ratio, read_back.steering.offset) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import ASSUMED_LAG
+from ampc_msgs_config.vehicle_warnings import vehicle_warnings
 from ampc_ros.certificate import certificate_problem
 from ampc_ros.configuration import (
     Choices,
@@ -73,6 +74,8 @@ class ConfiguredNode(ManagedNode):
     supervisor: Supervisor
     outputs: Outputs
     loader: Background | None = None
+    warned: Sequence[str] = ()
+    """Warnings about the vehicle that have been reported."""
     loaded: tuple[Choices, Outcome] | None = None
     """Choices that were loaded before the callback of their parameters."""
     uncertified = ""
@@ -251,7 +254,17 @@ class ConfiguredNode(ManagedNode):
     def publish_configuration(self, text: str = "") -> None:
         """Publish the configuration in use; `text` where it is already written."""
         self.outputs.publish_configuration(self.supervisor, text)
+        self.warn_of_vehicle()
         self.get_logger().info(f"configuration {self.supervisor.number} in use")
+
+    def warn_of_vehicle(self) -> None:
+        """Log implausible values of the vehicle, and report them once in the diagnostics."""
+        config = self.supervisor.config
+        found = vehicle_warnings(config.chassis, config.steering)
+        for sentence in (each for each in found if each not in self.warned):
+            self.trouble = "; ".join(filter(None, (self.trouble, sentence)))
+            self.get_logger().warning(f"vehicle {self.get_parameter('vehicle').value}: {sentence}")
+        self.warned = found
 
     async def on_reload(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Read gains, limits and guard from their files again; an error changes nothing."""

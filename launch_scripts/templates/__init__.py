@@ -1,0 +1,1 @@
+"""Vehicle files from the data sheet of a car."""
