@@ -259,7 +259,7 @@ def margins(
     """Measure delay margin [s] and gain margins on the nonlinear car.
 
     Returns:
-        Values at each speed by key of `ACCEPTANCE_BOUNDS`; nan where the nominal car does not settle.
+        Values at each speed by key of the bounds; nan where the nominal car does not settle.
     """
 
     def delayed(v: float, delay: float) -> Case:
