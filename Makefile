@@ -5,7 +5,7 @@ VENV_PYTHON := .venv/bin/python
 JOBS ?= 2
 PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup dev demo test check uncompiled lint acceptance faults leaderboard fuzz proofs mutation \
+.PHONY: help setup dev demo test check uncompiled lint acceptance certificates faults leaderboard fuzz proofs mutation \
 	bench lock audit clean
 .DEFAULT_GOAL := help
 
@@ -38,6 +38,9 @@ lint: dev  ## check format, style and types
 
 acceptance: dev  ## drive every case of the result table, into runs/acceptance
 	@$(VENV_PYTHON) -m tests.workshop.acceptance.acceptance
+
+certificates: dev  ## certify every shipped gain table anew, into the package (4 min)
+	@$(VENV_PYTHON) launch_scripts/certify.py --shipped
 
 faults: dev  ## inject every kind of fault on every road, into runs/faults
 	@$(VENV_PYTHON) -m tests.workshop.fault_matrix.inject

@@ -23,6 +23,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
+            "certify = launch_scripts.certify:main",
             "compare = launch_scripts.compare:main",
             "injector = launch_scripts.nodes.injector_node:main",
             "new_car = launch_scripts.new_car:main",

@@ -98,6 +98,8 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     common = {"lock_step": lock_step, "wait_for_recorder": True, "vehicle": options["vehicle"]}
     route = {key: options[key] for key in Route._fields}
     control = {key: options[key] for key in ("controller", "settings", "gain_table", "guard")}
+    if options["require_certificate"]:
+        control["require_certificate"] = True
     control["static_path"] = not options["faults"]  # the injector publishes the path repeatedly
     control["store_estimates"] = False
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}

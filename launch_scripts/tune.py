@@ -18,9 +18,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.text import Text
 
 from ampc_msgs_config.config import schema_line, shipped, shipped_schema
+from ampc_ros.certificate import certify_command
+from ampc_ros.configuration import Choices
 from ampc_ros.pso.swarm import Swarm
 from launch_scripts.run.options import print_vehicle_warnings
-from launch_scripts.tuning.fitness import FITNESS
+from launch_scripts.tuning.fitness import FITNESS, SETTINGS
 from launch_scripts.tuning.report import TuningReport, prove, provenance, table_yaml
 from launch_scripts.tuning.search import Checkpoints, run_searches, write_atomically
 from launch_scripts.tuning.task import PRESETS, SYMBOLS, Search, TuningTask, read_task
@@ -120,6 +122,8 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     write_atomically(output.with_suffix(".json"), f"{proof}\n")
     checkpoints.clear()
     console.print(f"written: {output} and the proof {output.stem}.json", markup=False)
+    tuned = Choices(controller=task.formulation, vehicle=task.vehicle, settings=SETTINGS)
+    console.print(f"certify it: {certify_command(tuned, output)}", markup=False)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -27,6 +27,8 @@ ROS = {
 """Files and tests outside tests/nodes that start nodes or other processes."""
 SLOW = {
     *(
+        "test_certificate",
+        "test_certify",
         "test_compiled_ticks",
         "test_fitness",
         "test_recover",

@@ -49,6 +49,7 @@ ARGUMENTS = {
     "static_path": ("true", "the path is published once and does not grow old"),
     "base_link_to_cg": ("-1.0", "distance from odom to the centre of gravity [m]; -1: rear axle"),
     "fixed_frame": ("", "frame of path and odom; empty: that of the first odom"),
+    "require_certificate": ("false", "reject a gain table without a valid certificate"),
     "friction": ("-1.0", "friction of the road; -1: that of the tyres"),
     "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
@@ -67,7 +68,7 @@ FLOATS = (
     "time_out",
     "start_time_out",
 )
-SWITCHES = ("lock_step", "static_path")
+SWITCHES = ("lock_step", "static_path", "require_certificate")
 TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkeys(SWITCHES, bool)
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
@@ -81,6 +82,7 @@ CONTROL = (
     "static_path",
     "base_link_to_cg",
     "fixed_frame",
+    "require_certificate",
 )
 
 

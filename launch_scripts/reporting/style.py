@@ -38,6 +38,8 @@ FONT: dict[str, Any] = {
 SVG_PATHS = re.compile(r' d="[^"]*"')
 SVG_DIGITS = re.compile(r"(\.\d\d)\d+")
 """Digits beyond hundredths of a point, half of the bytes of a page."""
+SVG_CLIPS = re.compile(r"\bp[0-9a-f]{10}\b")
+"""Names of clip paths; on logarithmic axes they contain addresses of memory."""
 
 
 def svg(figure: Figure) -> str:
@@ -45,7 +47,11 @@ def svg(figure: Figure) -> str:
     file = io.StringIO()
     with mpl.rc_context(FONT):
         figure.savefig(file, format="svg", metadata={"Date": None})
-    return SVG_PATHS.sub(lambda path: SVG_DIGITS.sub(r"\1", path[0]), file.getvalue())
+    names: dict[str, str] = {}
+    text = SVG_CLIPS.sub(
+        lambda clip: names.setdefault(clip[0], f"clip{len(names)}"), file.getvalue()
+    )
+    return SVG_PATHS.sub(lambda path: SVG_DIGITS.sub(r"\1", path[0]), text)
 
 
 def save_png(figure: Figure, file: Path) -> None:

@@ -72,6 +72,8 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     add("--seed", 0, "seed of the noise", type=int)
     text = "fault injection between simulator and controller, in real time; default: none"
     add("--faults", "", text, "faults")
+    text = "reject a gain table without a valid certificate"
+    add("--require-certificate", False, text, action="store_true")
     add("--real-time", False, "run freely instead of in lock-step", action="store_true")
     add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)

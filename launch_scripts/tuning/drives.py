@@ -87,9 +87,14 @@ PLANTS = (
 minimise the mean squared error of a single nominal drive."""
 
 
-def lane_change(v: float) -> Scenario:
-    """Return a lane change with an initial offset and a final gust, at a speed [m/s]."""
-    length = math.sqrt(LANE * PEAK / min(LANE_CHANGE_ACCELERATION / v**2, CURVATURE))
+def lane_change(v: float, curvature: float = CURVATURE) -> Scenario:
+    """Return a lane change with an initial offset and a final gust.
+
+    Args:
+        v: Speed [m/s].
+        curvature: Largest curvature [1/m].
+    """
+    length = math.sqrt(LANE * PEAK / min(LANE_CHANGE_ACCELERATION / v**2, curvature))
     x = np.arange(0.0, v * LANE_CHANGE_DURATION + run_out(v), POINT_SPACING)
     points = np.column_stack((x, LANE * q((x - LANE_CHANGE_START * v) / length)))
     scenario = Scenario("lane change", points, constant_speed(v), LANE_CHANGE_DURATION, (GUST,))

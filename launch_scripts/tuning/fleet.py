@@ -76,6 +76,8 @@ class Fleet(NamedTuple):
     """(n,) coefficient mu."""
     misalignment: Array
     """(n,) road-wheel angle when straight ahead is commanded [rad]."""
+    effect: Array
+    """(n,) road-wheel angle that the steering demands for a commanded angle of 1 rad."""
     lost: Array
     """(n,) cross-track error beyond which the drive ends [m]."""
     noise: Array
@@ -175,7 +177,7 @@ def drive_period(
     drive_steps(
         fleet.state[c],
         fleet.waiting[c, : fleet.delay[c]],
-        log[LOG_STEERING] + fleet.misalignment[c],
+        fleet.effect[c] * log[LOG_STEERING] + fleet.misalignment[c],
         speed,
         roads.wind,
         roads.first_wind[k] + tick * steps,

@@ -46,6 +46,8 @@ class Entry(NamedTuple):
     """Controller before its first step."""
     misalignment: float = 0.0
     """Road-wheel angle when straight ahead is commanded [rad]."""
+    effect: float = 1.0
+    """Factor on the commanded angle, unknown to the controller."""
 
 
 class FleetRun(NamedTuple):
@@ -163,6 +165,7 @@ def pack_fleet(entries: Sequence[Entry], road: Integers, period_ns: int, lost: f
         delay=np.array([len(car.waiting) for car in cars]),
         friction=np.array([car.friction for car in cars]),
         misalignment=np.array([entry.misalignment for entry in entries]),
+        effect=np.array([entry.effect for entry in entries]),
         lost=np.full(len(entries), lost),
         noise=np.array([Deviations(*astuple(noise)) for noise in noises]),
         normal=np.array(normal),

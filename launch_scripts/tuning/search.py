@@ -23,6 +23,7 @@ from launch_scripts.tuning.workers import Workers
 TASK = "task.json"
 MAX_CHECKPOINT_BYTES = 1_000_000_000
 """Largest size of a checkpoint."""
+RESUME = "all earlier checkpoints are intact, continue with --resume"
 SearchResult = tuple[Gains, float]
 """Best gains and their fitness; infinite if every car left the road."""
 
@@ -31,8 +32,13 @@ class SearchStopped(Exception):
     """Raised in a search after another search has failed."""
 
 
-def write_atomically(file: Path, text: str) -> None:
+def write_atomically(file: Path, text: str, remedy: str = RESUME) -> None:
     """Write a file so that it holds either its old or its new content after any failure.
+
+    Args:
+        file: File to write; its folder is created.
+        text: New content.
+        remedy: What the user can do after a failure, for the message.
 
     Raises:
         ValueError: The file cannot be written; its previous content is unchanged.
@@ -53,10 +59,7 @@ def write_atomically(file: Path, text: str) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
-        raise ValueError(
-            f"{file}: cannot be written: {error.strerror}; all earlier checkpoints are intact, "
-            "continue with --resume"
-        ) from error
+        raise ValueError(f"{file}: cannot be written: {error.strerror}; {remedy}") from error
 
 
 class Checkpoints:

@@ -66,8 +66,8 @@ def test_changed_tyres_have_the_gradient_and_the_stiffness_that_are_asked_for(
     wanted = understeer_gradient(VEHICLE) + change
     if other[4] < 0.999 * MOST_STIFF * VEHICLE[4]:
         assert understeer_gradient(other) == pytest.approx(wanted, abs=1e-12)
-    else:
-        assert understeer_gradient(other) > wanted - 1e-12
+    else:  # the front tyre is limited
+        assert understeer_gradient(other) >= wanted - 1e-9
 
 
 def test_no_gradient_makes_a_front_tyre_that_pulls() -> None:
@@ -128,25 +128,26 @@ def observed(
     m, I_z, l_f, l_r, C_f, C_r = VEHICLE
     C_f, C_r = C_f * front, C_r * rear
     ticks = np.arange(0.0, duration, 0.1)
-    sent = np.array([steering(t) for t in ticks])
+    sent = [steering(float(t)) for t in ticks]
 
-    def rate(t: float, z: Array) -> list[float]:
+    def rate(t: float, z: Array, /) -> Array:
         v_y, r, delta = z
         u = sent[min(int(t / 0.1 + 1e-9), len(sent) - 1)]
         wheel = (delta if lag else u) + offset
         F_f = 2 * C_f * (wheel - (v_y + l_f * r) / speed)
         F_r = 2 * C_r * (l_r * r - v_y) / speed
         slope = (u - delta) / lag if lag else 0.0
-        return [(F_f + F_r) / m - speed * r, (l_f * F_f - l_r * F_r) / I_z, slope]
+        return np.array([(F_f + F_r) / m - speed * r, (l_f * F_f - l_r * F_r) / I_z, slope])
 
-    motion = solve_ivp(rate, (0.0, duration), [0.0, 0.0, 0.0], t_eval=ticks, max_step=0.02)
+    start = np.zeros(3)
+    motion = solve_ivp(rate, (0.0, duration), start, t_eval=ticks, max_step=0.02)
     adaptation, commands = Adaptation(config), CommandHistory(0.0, 10 * NANOSECONDS)
-    for i, t in enumerate(ticks):
-        v_y, r, _ = motion.y[:, i]
+    for i, t in enumerate(map(float, ticks)):
+        v_y, r = float(motion.y[0, i]), float(motion.y[1, i])
         v_y += (point - l_r) * r
         state = VehicleState(i * STEP_NS, speed * t, 0.0, 0.0, speed, v_y, r)
         adaptation.observe(distort(state, t), commands)
-        commands.store(float(sent[i]), i * STEP_NS)
+        commands.store(sent[i], i * STEP_NS)
     return adaptation
 
 
@@ -294,11 +295,11 @@ def test_the_offset_is_taken_off_the_command_and_added_to_the_measured_angle() -
         each.take_path([(0.5 * i, 0.0) for i in range(200)], NANOSECONDS, NANOSECONDS)
     commands = []
     for each in (supervisor, straight):
-        for i in range(30):
+        for i in range(60):
             now_ns = NANOSECONDS + i * STEP_NS
             each.take_state(VehicleState(now_ns, 0.5 * i, 0.0, 0.0, 5.0, 0.0, 0.0), now_ns)
             record = each.tick(now_ns)
-            assert record
+        assert record
         commands.append(record)
     assert commands[0].steering_offset == pytest.approx(0.02, abs=1e-4)
     assert commands[0].command.steering == pytest.approx(-0.02, abs=2e-4)

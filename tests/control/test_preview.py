@@ -30,10 +30,10 @@ from ampc_msgs_config.types import (
 )
 from ampc_ros.mpc.gain_table import load_gain_table
 from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
 from tests.workshop.acceptance.cases import SPEEDS, Case, all_cases
-from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import Trial, overlap, run
 
 CAR = load_vehicle_file(find("vehicles", "paper"))

@@ -11,9 +11,9 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.controller import make_controller
 from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
-from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.bench.bench_node import CHOICES
 
 FAST = [rate for rate in CHOICES if rate > 10]

@@ -71,7 +71,8 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
             add(executor, node)
             for parameter in given[name] - {"wait_for_recorder"} - OF_LAUNCH:
                 default, _ = launch_file.ARGUMENTS[parameter]
-                value = launch_file.TYPES.get(parameter, str)(default)
+                kind = launch_file.TYPES.get(parameter, str)
+                value = default == "true" if kind is bool else kind(default)
                 assert node.get_parameter(parameter).value == value
 
 

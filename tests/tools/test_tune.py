@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 from ampc_msgs_config import config
 from ampc_ros.mpc.gain_table import gain_table, load_gain_table
 from ampc_ros.pso.swarm import Swarm
+from launch_scripts.certify import certify_parser
 from launch_scripts.tune import build_parser, main
 from launch_scripts.tuning.fitness import fitness
 from launch_scripts.tuning.report import NO_SINGLE, Candidate, TuningReport
@@ -33,6 +35,17 @@ def tuned(output: Path, *words: str) -> tuple[str, Any]:
     """Tune in this process and return table and proof."""
     assert main([*SMALL, *words, "--output", str(output)]) == 0
     return output.read_text(), json.loads(output.with_suffix(".json").read_text())
+
+
+def test_the_last_line_is_the_command_that_certifies_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tuned(tmp_path / "a.yaml", "--generations", "1")
+    last = capsys.readouterr().out.splitlines()[-1]
+    command = f"python launch_scripts/certify.py --vehicle paper --gain-table {tmp_path}/a.yaml"
+    assert last == f"certify it: {command} --controller paper"
+    chosen = certify_parser().parse_args(shlex.split(command)[2:])
+    assert Path(chosen.gain_table) == tmp_path / "a.yaml"
 
 
 def test_a_tuned_table_can_be_loaded_marks_unreached_nodes_and_has_its_provenance(

@@ -1,6 +1,5 @@
 """Configuration of the controller node: parameters, changes at run time, reload of files."""
 
-import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import ASSUMED_LAG
 from ampc_msgs_config.vehicle_warnings import vehicle_warnings
+from ampc_ros.certificate import certificate_problem
 from ampc_ros.configuration import (
     CarDifference,
     Choices,
@@ -29,18 +29,12 @@ from ampc_ros.configuration import (
     to_yaml,
 )
 from ampc_ros.nodes.background import Background, Outcome
+from ampc_ros.nodes.estimate_store import STORE_PERIOD, EstimateStore
 from ampc_ros.nodes.managed_node import ManagedNode
 from ampc_ros.ros import Outputs
-from ampc_ros.supervision.stored_difference import (
-    read_difference,
-    remove_difference,
-    store_difference,
-)
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
 
-STORE_PERIOD, STORE_TIMEOUT = 60.0, 1.0
-"""Time between two stored estimates of the car, and for the last ones [s]."""
 RUN_TIME = ("settings", "gain_table", "guard", "static_path")
 """Parameters that select files and may change while the controller runs."""
 
@@ -55,16 +49,22 @@ class LoadedChoices(NamedTuple):
     """Number of the configuration in its text."""
     text: str
     """Result of `to_yaml`."""
+    uncertified: str
+    """Why the gains are not certified; empty: they are."""
 
 
-def load_choices(choices: Choices, number: int) -> LoadedChoices:
+def load_choices(choices: Choices, number: int, require_certificate: bool) -> LoadedChoices:
     """Load choices, and write the configuration as it is to be published.
 
     Raises:
-        ValueError: A file or value is wrong.
+        ValueError: A file or value is wrong, or a required certificate is missing.
     """
     config = configuration(choices)
-    return LoadedChoices(config, gain_file(choices), number, to_yaml(config, number))
+    uncertified = certificate_problem(choices, config, required=require_certificate)
+    if uncertified and require_certificate:
+        raise ValueError(f"require_certificate: {uncertified}")
+    text = to_yaml(config, number)
+    return LoadedChoices(config, gain_file(choices), number, text, uncertified)
 
 
 class ConfiguredNode(ManagedNode):
@@ -77,12 +77,12 @@ class ConfiguredNode(ManagedNode):
     supervisor: Supervisor
     outputs: Outputs
     loader: Background | None = None
-    storing: threading.Thread | None = None
-    """Thread that writes the newest estimates."""
     warned: Sequence[str] = ()
     """Warnings about the vehicle that have been reported."""
     loaded: tuple[Choices, Outcome] | None = None
     """Choices that were loaded before the callback of their parameters."""
+    uncertified = ""
+    """Why the gains in use are not certified; empty: they are."""
 
     def declare_choices(self) -> None:
         """Declare the parameters that select the configuration."""
@@ -91,7 +91,13 @@ class ConfiguredNode(ManagedNode):
         offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
         offer("fixed_frame", "", "frame of path and odom; empty: that of the first odom")
-        offer("store_estimates", True, "start with the estimates of the last drive, in real time")
+        text = "start with the estimates of the last drive, in real time"
+        self.estimates = EstimateStore(
+            self.get_logger(),
+            is_used=offer("store_estimates", True, text) and not self.is_simulated,
+        )
+        text = "reject a gain table without a valid certificate"
+        self.require_certificate: bool = offer("require_certificate", False, text)
         offer = partial(declare, self, at_run_time=True)
         offer("settings", default.settings, "shipped limits, or YAML file")
         offer("gain_table", default.gain_table, "shipped gains, or YAML file")
@@ -152,7 +158,8 @@ class ConfiguredNode(ManagedNode):
         """Load choices in another process; the future holds the outcome."""
         future = Future()
         self.loader = Background(self.files_ready.trigger)
-        self.loader.submit(future, load_choices, choices, self.supervisor.number + 1)
+        number = self.supervisor.number + 1
+        self.loader.submit(future, load_choices, choices, number, self.require_certificate)
         return future
 
     def on_files(self) -> None:
@@ -173,8 +180,7 @@ class ConfiguredNode(ManagedNode):
         values |= {key: value for key, value in changed.items() if key in values}
         if values["base_link_to_cg"] < 0:
             values["base_link_to_cg"] = None
-        simulated = self.lock_step or bool(self.get_parameter("use_sim_time").value)
-        return Choices(**values, simulated_time=simulated)
+        return Choices(**values, simulated_time=self.is_simulated)
 
     def load(self) -> None:
         """Load the configuration and warm up; a later one continues at the angle in force.
@@ -183,7 +189,8 @@ class ConfiguredNode(ManagedNode):
             ValueError: A file or value is wrong.
         """
         choices = self.choices({})
-        config, source = self.with_stored(configuration(choices)), gain_file(choices)
+        config, source, _, _, uncertified = load_choices(choices, 1, self.require_certificate)
+        config = self.estimates.with_stored(config)
         if not config.steering.is_lag_configured:
             what = f"steering.lag is not configured: {ASSUMED_LAG:g} s is assumed at first"
             file = find("vehicles", choices.vehicle)
@@ -194,43 +201,17 @@ class ConfiguredNode(ManagedNode):
         else:
             self.supervisor = Supervisor(config, source)
         self.supervisor.inject_qp_fault(self.get_parameter("qp_fault").value)
+        self.warn_uncertified(uncertified)
         warm_up(config)
 
     @property
-    def stores(self) -> bool:
-        """Whether the estimates of the car are stored: those of a simulated car are not."""
-        simulated = self.lock_step or self.get_parameter("use_sim_time").value
-        return bool(self.get_parameter("store_estimates").value) and not simulated
-
-    def with_stored(self, config: Configuration) -> Configuration:
-        """Return a configuration that starts with the stored estimates of its car, if any."""
-        if not (self.stores and config.settings.adaptation):
-            return config
-        try:
-            difference = read_difference(config)
-        except ValueError as error:
-            self.get_logger().warning(f"stored estimates are not used: {error}")
-            return config
-        if difference:
-            values = ", ".join(f"{k} {v:.3g}" for k, v in difference._asdict().items())
-            self.get_logger().info(f"stored estimates, differences from the vehicle file: {values}")
-        return config._replace(difference=difference)
+    def is_simulated(self) -> bool:
+        """Whether time is simulated."""
+        return self.lock_step or bool(self.get_parameter("use_sim_time").value)
 
     def store(self) -> None:
-        """Store the estimates of the car, from a thread: a slow disk must not delay a command."""
-        adaptation = self.supervisor.adaptation
-        if adaptation and adaptation.is_latency_known and self.stores:
-            values = self.supervisor.config, adaptation.difference
-            self.storing = threading.Thread(target=self.write, args=values, daemon=True)
-            self.storing.start()
-
-    def write(self, config: Configuration, difference: CarDifference) -> None:
-        """Write the file of estimates."""
-        try:
-            store_difference(config, difference)
-        except OSError as error:
-            text = f"the estimates of the car are not stored: {error}"
-            self.get_logger().warning(text, once=True)
+        """Store the estimates of the car."""
+        self.estimates.store(self.supervisor)
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget the estimates of the car, also the stored ones."""
@@ -239,11 +220,16 @@ class ConfiguredNode(ManagedNode):
         self.publish_configuration()
         response.success, response.message = True, "the car is assumed to be as configured"
         try:
-            if self.stores:
-                remove_difference(config)
+            self.estimates.remove(config)
         except OSError as error:
             response.success, response.message = False, str(error)
         return response
+
+    def warn_uncertified(self, uncertified: str) -> None:
+        """Log once per configuration that its gains are not certified, and remember the reason."""
+        self.uncertified = uncertified
+        if uncertified:
+            self.get_logger().warning(uncertified)
 
     def offer_changes(self) -> None:
         """Accept new parameters and offer the service `~/reload` while configured."""
@@ -253,7 +239,7 @@ class ConfiguredNode(ManagedNode):
         self.while_configured.callback(self.stop_loader)
         forget = self.create_service(Trigger, "~/forget", self.on_forget)
         self.while_configured.callback(self.destroy_service, forget)
-        if self.stores:
+        if self.estimates.is_used:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             storing = self.create_timer(STORE_PERIOD, self.store, clock=clock)
             self.while_configured.callback(self.destroy_timer, storing)
@@ -281,7 +267,7 @@ class ConfiguredNode(ManagedNode):
         Raises:
             ValueError: A file or value is wrong.
         """
-        return load_choices(choices, self.supervisor.number + 1)
+        return load_choices(choices, self.supervisor.number + 1, self.require_certificate)
 
     def reconfigure(self, loaded: LoadedChoices) -> None:
         """Switch to another configuration; an error changes nothing.
@@ -296,6 +282,7 @@ class ConfiguredNode(ManagedNode):
                 "the controller is configured"
             )
         self.supervisor.reconfigure(config, loaded.source)
+        self.warn_uncertified(loaded.uncertified)
         fits = loaded.number == self.supervisor.number
         self.publish_configuration(loaded.text if fits else "")
 

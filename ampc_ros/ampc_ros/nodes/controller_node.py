@@ -21,7 +21,7 @@ from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
-from ampc_ros.nodes.configured_node import STORE_TIMEOUT, ConfiguredNode
+from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.managed_node import lifecycle_state
 from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
@@ -152,8 +152,7 @@ class ControllerNode(ConfiguredNode):
         """Publish the safe last command at the end of the process."""
         if self.is_active:
             self.finish()
-        if self.storing:
-            self.storing.join(STORE_TIMEOUT)
+        self.estimates.wait()
 
     def on_path(self, message: PathMessage) -> None:
         """Use a new path at once; an invalid one is rejected and the old one kept.
@@ -333,7 +332,7 @@ class ControllerNode(ConfiguredNode):
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
         level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
-        problems = [self.clock_check.problem(), *self.inputs.mismatches()]
+        problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified]
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         account = {"commands": self.commands, "missed_ticks": self.policy.missed}

@@ -11,8 +11,8 @@ import numpy as np
 
 from ampc_msgs_config.config import find
 from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from sim_vehicle.parameters import load_vehicle_file
-from tests.workshop.acceptance.stability import delay_margin, spectral_radius
 from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run_all, shipped_controller
 
 BOTH, PREVIEW = ("preview", "paper"), ("preview",)

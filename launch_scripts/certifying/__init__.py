@@ -1,0 +1,1 @@
+"""Certification: what a gain table does with a car, checked against fixed bounds."""
