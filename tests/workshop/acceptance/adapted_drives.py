@@ -119,7 +119,8 @@ def changed(chassis: ChassisParameters, change: Change) -> ChassisParameters:
 def ordinary_road(seed: int) -> Scenario:
     """Return a minute of ordinary driving: random bends in both directions below 2.5 m/s^2."""
     rng, count = np.random.default_rng(seed), round(TRAINING * ORDINARY_SPEED / SPACING) + 100
-    at, kappa, s = SPACING * np.arange(count), np.zeros(count), 20.0
+    at: Array = SPACING * np.arange(count, dtype=np.float64)
+    kappa, s = np.zeros(count), 20.0
     while s < at[-1]:
         bend = rng.choice([-1.0, 1.0]) / rng.choice(RADII)
         length = rng.uniform(20.0, 50.0)
@@ -133,9 +134,7 @@ def ordinary_road(seed: int) -> Scenario:
         for i in order:
             before = speed[i - 1 if order.step > 0 else i + 1]
             speed[i] = min(speed[i], math.sqrt(before**2 + 2 * BRAKING * SPACING))
-    return Scenario(
-        "ordinary", points, SpeedProfile(True, at, np.array(speed, dtype=np.float64)), TRAINING
-    )
+    return Scenario("ordinary", points, SpeedProfile(True, at, speed), TRAINING)
 
 
 def lane_change(speed: float) -> Scenario:
