@@ -210,6 +210,8 @@ class TickRecord(NamedTuple):
     """Understeer gradient that it assumes [rad s^2/m]."""
     steering_offset: float = math.nan
     """Estimated road-wheel angle at a commanded angle of zero [rad]."""
+    rear_cornering_stiffness: float = math.nan
+    """Cornering stiffness of one rear tyre that the controller assumes [N/rad]."""
 
     @property
     def quantities(self) -> tuple[float, ...]:

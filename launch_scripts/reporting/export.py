@@ -33,7 +33,9 @@ TICK_UNITS = {
     **dict.fromkeys(("heading_error", "feed_forward", "planned_steering", "steering"), " [rad]"),
     **dict.fromkeys(("solve_time", "timer_lateness", "state_age", "state_silence"), " [s]"),
     **dict.fromkeys(("path_age", "path_silence"), " [s]"),
-    **{"curvature": " [1/m]", "disturbance": " [m/s^2]"},
+    **{"curvature": " [1/m]", "disturbance": " [m/s^2]", "steering_latency": " [s]"},
+    **{"steering_offset": " [rad]", "understeer_gradient": " [rad s^2/m]"},
+    **{"rear_cornering_stiffness": " [N/rad]"},
 }
 """Units of published quantities; the others are counts, indices and dimensionless numbers."""
 

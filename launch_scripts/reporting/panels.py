@@ -206,6 +206,33 @@ PANELS = [
         (Axis("wind [m/s]", wind, visible=(-1.0, 1.0)),),
     ),
     Panel(
+        "adaptation",
+        "Car assumed by the controller",
+        "As configured, or as estimated while driving.",
+        (
+            Axis(
+                "latency [ms]",
+                published(("steering_latency", "latency of the steering"), scale=1e3),
+                visible=(0.0, 100.0),
+            ),
+            Axis(
+                "offset [deg]",
+                published(("steering_offset", "offset of the steering"), scale=DEG),
+                visible=(-0.5, 0.5),
+            ),
+            Axis(
+                "K [mrad s\u00b2/m]",
+                published(("understeer_gradient", "understeer gradient"), scale=1e3),
+                visible=(0.0, 1.0),
+            ),
+            Axis(
+                "C_r [kN/rad]",
+                published(("rear_cornering_stiffness", "rear cornering stiffness"), scale=1e-3),
+                visible=(0.0,),
+            ),
+        ),
+    ),
+    Panel(
         "gains",
         "Gains in use",
         "Gain table at the current speed: horizons in ticks, Laguerre pole, weights.",

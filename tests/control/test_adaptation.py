@@ -18,24 +18,24 @@ from ampc_msgs_config.parameters import understeer_gradient
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.assumed_car import MOST_STIFF, SteeringResponse, assumed_car, front_share, with_tyres
 from ampc_ros.configuration import CarDifference, Configuration, from_yaml, to_yaml
-from ampc_ros.supervision.adaptation import (
+from ampc_ros.estimation.adaptation import (
     DIFFERENCES,
+    FILTER_SIZE,
     GRADIENT,
     LATENCY,
-    SIZE,
     STIFFNESS,
     Adaptation,
     corrected,
     lengthened,
 )
-from ampc_ros.supervision.command_history import CommandHistory
-from ampc_ros.supervision.received import Received
-from ampc_ros.supervision.stored_difference import (
+from ampc_ros.estimation.command_history import CommandHistory
+from ampc_ros.estimation.stored_difference import (
     difference_file,
     read_difference,
     remove_difference,
     store_difference,
 )
+from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.parameters import load_vehicle_file
 from tests.supervised import Run, made_for, supervised
@@ -92,8 +92,8 @@ def test_a_changed_latency_is_the_sum_of_delay_and_lag(
 
 def test_a_correction_is_that_of_the_information_filter() -> None:
     rng = np.random.default_rng(1)
-    root = rng.standard_normal((SIZE, SIZE))
-    P, H, x = root @ root.T, rng.standard_normal(SIZE), rng.standard_normal(SIZE)
+    root = rng.standard_normal((FILTER_SIZE, FILTER_SIZE))
+    P, H, x = root @ root.T, rng.standard_normal(FILTER_SIZE), rng.standard_normal(FILTER_SIZE)
     after, covariance = corrected(x, P, H, 0.3, 0.5)
     information = np.linalg.inv(P) + np.outer(H, H) / 0.5
     assert covariance == pytest.approx(np.linalg.inv(information), abs=1e-8)

@@ -31,11 +31,14 @@ from ampc_msgs_config.types import (
     VehicleState,
 )
 from ampc_ros.configuration import Configuration, from_yaml, to_yaml
+from ampc_ros.estimation import state_prediction
+from ampc_ros.estimation.command_history import CommandHistory
+from ampc_ros.estimation.present_state import longest_history_ns
+from ampc_ros.estimation.state_prediction import MODEL_ABOVE, StatePredictor
 from ampc_ros.mpc.model import DELTA, STATES, zero_order_hold
 from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.tick import ACCELERATION, BEFORE, DISTURBANCE, EXPECTED
-from ampc_ros.supervision import state_prediction, warm_up
-from ampc_ros.supervision.command_history import CommandHistory
+from ampc_ros.supervision import warm_up
 from ampc_ros.supervision.fallback import (
     NO_REASON,
     OFF_PATH,
@@ -43,8 +46,6 @@ from ampc_ros.supervision.fallback import (
     STATE_LATE,
     STATE_LOST,
 )
-from ampc_ros.supervision.present_state import longest_history_ns
-from ampc_ros.supervision.state_prediction import MODEL_ABOVE, StatePredictor
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from launch_scripts.replaying.recorded_run import read_run

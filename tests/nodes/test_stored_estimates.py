@@ -9,13 +9,13 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from ampc_ros.configuration import CarDifference, Choices, configuration
-from ampc_ros.nodes.controller_node import ControllerNode
-from ampc_ros.supervision.adaptation import LATENCY
-from ampc_ros.supervision.stored_difference import (
+from ampc_ros.estimation.adaptation import LATENCY
+from ampc_ros.estimation.stored_difference import (
     difference_file,
     read_difference,
     store_difference,
 )
+from ampc_ros.nodes.controller_node import ControllerNode
 from tests.nodes.test_late_odometry import Bicycle, on_a_circle
 from tests.ros_nodes import ros_context
 
@@ -78,11 +78,11 @@ def test_damaged_estimates_do_not_stop_the_node(folder: Path) -> None:
     file = difference_file(CONFIG)
     file.parent.mkdir()
     file.write_text("{", encoding="utf-8")
-    with ros_context(gain_table="preview_paper", static_path="true") as executor:
-        supervisor = ControllerNode().supervisor
-        assert supervisor.adaptation
-        assert supervisor.adaptation.difference == CarDifference()
-        executor.spin_once(timeout_sec=0.0)
+    with ros_context(gain_table="preview_paper", static_path="true"):
+        node = ControllerNode()
+        assert node.supervisor.adaptation
+        assert node.supervisor.adaptation.difference == CarDifference()
+        node.destroy_node()
 
 
 @pytest.mark.parametrize("mode", ["lock_step", "use_sim_time"])

@@ -5,7 +5,7 @@ import threading
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ampc_ros.configuration import CarDifference, Configuration
-from ampc_ros.supervision.stored_difference import (
+from ampc_ros.estimation.stored_difference import (
     read_difference,
     remove_difference,
     store_difference,

@@ -26,7 +26,8 @@ from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.controller_interface import Controller
-from ampc_ros.supervision.adaptation import Adaptation
+from ampc_ros.estimation.adaptation import Adaptation
+from ampc_ros.estimation.present_state import PresentState
 from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.fallback import (
     NO_REASON,
@@ -45,7 +46,6 @@ from ampc_ros.supervision.monitors import (
     StopRequest,
 )
 from ampc_ros.supervision.odometry import OdometryMonitor
-from ampc_ros.supervision.present_state import PresentState
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
 
@@ -448,6 +448,7 @@ class Supervisor:
             sum(self.assumed_car.response),
             understeer_gradient(self.assumed_car.vehicle),
             offset,
+            self.assumed_car.vehicle[-1],
         )
 
     def _monitor(self, state: VehicleState, location: Location) -> int:

@@ -6,8 +6,8 @@ from contextlib import suppress
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Configuration
-from ampc_ros.supervision.adaptation import Adaptation
-from ampc_ros.supervision.command_history import CommandHistory
+from ampc_ros.estimation.adaptation import Adaptation
+from ampc_ros.estimation.command_history import CommandHistory
 from ampc_ros.supervision.fallback import PLAN_TIME
 from ampc_ros.supervision.supervisor import Supervisor
 

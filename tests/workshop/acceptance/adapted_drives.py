@@ -23,7 +23,7 @@ from ampc_msgs_config.scenarios.scenario import (
 from ampc_msgs_config.scenarios.wind import Wind
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices, Configuration
-from ampc_ros.supervision.adaptation import DIFFERENCES
+from ampc_ros.estimation.adaptation import DIFFERENCES
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.templates.vehicle_rules import DataSheet, vehicle_template
 from sim_vehicle.car import Car

@@ -9,7 +9,7 @@ from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import VehicleState
 from ampc_ros.assumed_car import AssumedCar, assumed_car
 from ampc_ros.configuration import Configuration
-from ampc_ros.supervision.command_history import CommandHistory
+from ampc_ros.estimation.command_history import CommandHistory
 
 MODEL_ABOVE = 1.5
 """Speed from which the bicycle model is used; a slower car keeps its twist [m/s]."""

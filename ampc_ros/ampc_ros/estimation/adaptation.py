@@ -20,22 +20,22 @@ from ampc_ros.assumed_car import (
     with_tyres,
 )
 from ampc_ros.configuration import CarDifference, Configuration
+from ampc_ros.estimation.command_history import CommandHistory
+from ampc_ros.estimation.state_prediction import CarModel, Motion, advance_car
 from ampc_ros.mpc.internal_model import LARGEST_LAG, SHORT_LAG
 from ampc_ros.mpc.model import BicycleParameters
-from ampc_ros.supervision.command_history import CommandHistory
-from ampc_ros.supervision.state_prediction import CarModel, Motion, advance_car
 
-V_Y, YAW_RATE, LATENCY, GRADIENT, OFFSET, STIFFNESS, ERROR, POINT = range(8)
+LATERAL_SPEED, YAW_SPEED, LATENCY, GRADIENT, OFFSET, STIFFNESS, YAW_ERROR, POINT = range(8)
 """Positions in the state of the filter: lateral velocity of the centre of gravity [m/s], yaw rate
 [rad/s], difference of the latency [s], difference of the understeer gradient [rad s^2/m], offset
 of the road-wheel angle [rad], logarithm of the ratio of the rear cornering stiffnesses, yaw
 acceleration beyond the model, as of wind [rad/s^2], distance of the measured point ahead of where
 it is configured [m]."""
-SIZE = 8
-ESTIMATED = (LATENCY, GRADIENT, OFFSET, STIFFNESS)
+FILTER_SIZE = 8
+PARAMETERS_AT = (LATENCY, GRADIENT, OFFSET, STIFFNESS)
 DIFFERENCES = slice(LATENCY, STIFFNESS + 1)
 
-SHORTEST, LONGEST = 0.09, 0.5
+SHORTEST_STEP, LONGEST_STEP = 0.09, 0.5
 """Time between two measurements of the yaw rate that are used [s]."""
 UNKNOWN_DEVIATION, STATED_DEVIATION = 0.06, 0.03
 """Standard deviation of a latency that is not stated, and of one that is [s]."""
@@ -43,7 +43,7 @@ GRADIENT_DEVIATION = 0.3
 """Standard deviation of the understeer gradient, as a share of the front axle's part of it."""
 OFFSET_DEVIATION = 0.015
 """Standard deviation of the offset [rad]."""
-ERROR_DEVIATION, ERROR_TIME = 0.12, 3.0
+YAW_ERROR_DEVIATION, YAW_ERROR_TIME = 0.12, 3.0
 """Standard deviation of the yaw acceleration beyond the model [rad/s^2], and its correlation time
 [s]: what lasts longer belongs to the offset."""
 STIFFNESS_DEVIATION = 0.3
@@ -55,7 +55,7 @@ MOTION_DEVIATION = (0.3, 0.1)
 WALK = (0.1, 0.02, 0.004, 0.002, 0.0003, 0.002, 0.0, 0.0)
 """Random walk of the state in the square root of a second; that of the gradient as a share of the
 front axle's part of it."""
-NOISE = (0.005, 0.015)
+LEAST_NOISE_LEVEL = (0.005, 0.015)
 """Least standard deviation of a residual of yaw rate [rad/s] and lateral velocity [m/s]: that of
 model errors. Where the residuals are larger, their level is used."""
 START_NOISE, NOISE_TIME = (0.03, 0.1), 5.0
@@ -66,7 +66,7 @@ MOST_LATERAL = 0.5
 """Residual of the lateral velocity from which it is not used [m/s]."""
 DIFFERENCE = (0.05, 0.02, 0.02, 0.1, 0.005, 0.05, 0.1)
 """Differences for the derivatives; that of the gradient as a share of the front axle's part."""
-INSIGNIFICANT, SIGNIFICANT = 1.0, 2.0
+NOT_USED, FULLY_USED = 1.0, 2.0
 """Standard deviations up to which a difference from the configured car is not used, and from which
 it is used fully."""
 USE_TIME = (3.0, 10.0, 10.0, 10.0)
@@ -81,7 +81,7 @@ LARGEST_OFFSET = 0.06
 """Bound of the offset [rad]."""
 LARGEST_STIFFNESS = 0.8
 """Bound of the logarithm of the rear cornering stiffness."""
-SLOWEST, SLOWEST_MODEL, PASSENGER_CAR = 3.0, 1.5, 2.7
+SLOWEST_CAR, SLOWEST_MODEL, PASSENGER_CAR = 3.0, 1.5, 2.7
 """Speed from which a car with the wheelbase of a passenger car [m] is observed; shorter ones by the
 square root of their size, but never below the second [m/s]."""
 MOST_ACCELERATION, MOST_FRICTION = 4.0, 0.45
@@ -112,12 +112,12 @@ def advance_joint(
         vehicle: m, I_z, l_f, l_r, C_f, C_r as configured.
         friction: Coefficient of friction.
         v_x: Speed [m/s].
-        x: State of the filter (SIZE,).
+        x: State of the filter (FILTER_SIZE,).
         sent: Commands of the step.
     """
     changed = with_tyres(vehicle, x[GRADIENT], x[STIFFNESS])
-    model = CarModel(changed, friction, sent.lag, 0.0, x[ERROR])
-    motion = Motion(0.0, 0.0, 0.0, v_x, x[V_Y], x[YAW_RATE], sent.wheel + x[OFFSET])
+    model = CarModel(changed, friction, sent.lag, 0.0, x[YAW_ERROR])
+    motion = Motion(0.0, 0.0, 0.0, v_x, x[LATERAL_SPEED], x[YAW_SPEED], sent.wheel + x[OFFSET])
     for i in range(len(sent.commands)):
         command = sent.commands[i, 0] + x[OFFSET]
         after = advance_car(model, motion, command, sent.commands[i, 1])
@@ -135,13 +135,13 @@ def linearize(
     later: tuple[float, float, Array],
     F: Array,
 ) -> tuple[float, float]:
-    """Fill the derivatives of lateral velocity and yaw rate (2, SIZE); return both after the step.
+    """Fill the derivatives of lateral velocity and yaw rate (2, n); return both after the step.
 
     Args:
         vehicle: m, I_z, l_f, l_r, C_f, C_r as configured.
         friction: Coefficient of friction.
         v_x: Speed [m/s].
-        x: State of the filter (SIZE,).
+        x: State of the filter (FILTER_SIZE,).
         sent: `Sent` at this latency.
         later: `Sent` at a latency that is longer by DIFFERENCE.
         F: Receives the derivatives.
@@ -177,9 +177,9 @@ class Adaptation:
         share = front_share(self.car.vehicle)
         latency = STATED_DEVIATION if self.is_stated else UNKNOWN_DEVIATION
         spread = latency, GRADIENT_DEVIATION * share, OFFSET_DEVIATION, STIFFNESS_DEVIATION
-        others = ERROR_DEVIATION, POINT_DEVIATION
+        others = YAW_ERROR_DEVIATION, POINT_DEVIATION
         self.deviation: Array = np.array([*MOTION_DEVIATION, *spread, *others])
-        """Standard deviations at the start (SIZE,)."""
+        """Standard deviations at the start (FILTER_SIZE,)."""
         self.walk: Array = np.array(WALK)
         self.walk[GRADIENT] *= share
         # Bounds: the latency stays positive, and the car never oversteers more than configured
@@ -191,16 +191,16 @@ class Adaptation:
         self.lower: Array = np.array([*least, -LARGEST_OFFSET, -LARGEST_STIFFNESS])
         l_f, l_r = self.car.vehicle[2:4]
         self.slowest = max(
-            SLOWEST * math.sqrt(min((l_f + l_r) / PASSENGER_CAR, 1.0)), SLOWEST_MODEL
+            SLOWEST_CAR * math.sqrt(min((l_f + l_r) / PASSENGER_CAR, 1.0)), SLOWEST_MODEL
         )
         self.most_acceleration = min(MOST_ACCELERATION, MOST_FRICTION * self.friction * GRAVITY)
         self.to_cg = config.base_link_to_cg
-        self.x: Array = np.zeros(SIZE)
+        self.x: Array = np.zeros(FILTER_SIZE)
         """State of the filter."""
         if config.difference is not None:
             self.x[DIFFERENCES] = np.clip(config.difference, self.lower, self.upper)
         self.P: Array = np.diag(self.deviation**2)
-        """Its covariance (SIZE, SIZE)."""
+        """Its covariance (FILTER_SIZE, FILTER_SIZE)."""
         self.noise: Array = np.square(START_NOISE)
         """Mean squares of the residuals of yaw rate and lateral velocity."""
         self.anchor: VehicleState | None = None
@@ -233,7 +233,7 @@ class Adaptation:
         An insignificant one is zero, so that a car that is as configured is driven as configured.
         """
         value, deviation = float(self.x[i]), math.sqrt(self.P[i, i])
-        share = (abs(value) / deviation - INSIGNIFICANT) / (SIGNIFICANT - INSIGNIFICANT)
+        share = (abs(value) / deviation - NOT_USED) / (FULLY_USED - NOT_USED)
         return value * min(max(share, 0.0), 1.0)
 
     def _caution(self, latency: float) -> float:
@@ -259,10 +259,10 @@ class Adaptation:
             self._start(state)
             return
         elapsed = (state.stamp_ns - self.anchor.stamp_ns) / NANOSECONDS
-        if 0.0 <= elapsed < SHORTEST:
+        if 0.0 <= elapsed < SHORTEST_STEP:
             return
         fast = state.v_x * abs(state.yaw_rate) > self.most_acceleration
-        if not 0.0 < elapsed <= LONGEST or state.v_x < self.slowest or fast:
+        if not 0.0 < elapsed <= LONGEST_STEP or state.v_x < self.slowest or fast:
             self._start(state)
             return
         anchor, self.anchor = self.anchor, state
@@ -275,9 +275,9 @@ class Adaptation:
         """Start from the steady-state lateral velocity of a yaw rate."""
         m, _, l_f, l_r, _, C_r = self.car.vehicle
         v, r = state.v_x, state.yaw_rate
-        self.x[V_Y] = (l_r - m * v * v * l_f / (2 * C_r * (l_f + l_r))) * r
-        self.x[YAW_RATE], self.x[ERROR] = r, 0.0
-        for i in (V_Y, YAW_RATE, ERROR):
+        self.x[LATERAL_SPEED] = (l_r - m * v * v * l_f / (2 * C_r * (l_f + l_r))) * r
+        self.x[YAW_SPEED], self.x[YAW_ERROR] = r, 0.0
+        for i in (LATERAL_SPEED, YAW_SPEED, YAW_ERROR):
             self.P[i, :] = self.P[:, i] = 0.0
             self.P[i, i] = self.deviation[i] ** 2
         self.anchor = state
@@ -287,41 +287,43 @@ class Adaptation:
     ) -> None:
         """Predict the filter's state over a step, and correct it by the residual."""
         # Prediction
-        F, v_x = np.eye(SIZE), 0.5 * (anchor.v_x + state.v_x)
+        F, v_x = np.eye(FILTER_SIZE), 0.5 * (anchor.v_x + state.v_x)
         times = anchor.stamp_ns, state.stamp_ns
         now, later = (
             sent_between(commands, *times, lengthened(self.car.response, self.x[LATENCY] + more))
             for more in (0.0, DIFFERENCE[LATENCY])
         )
         motion = linearize(self.car.vehicle, self.friction, v_x, self.x, now, later, F)
-        keep = F[ERROR, ERROR] = math.exp(-elapsed / ERROR_TIME)
+        keep = F[YAW_ERROR, YAW_ERROR] = math.exp(-elapsed / YAW_ERROR_TIME)
         Q = self.walk**2 * elapsed
-        Q[ERROR] = (1.0 - keep * keep) * self.deviation[ERROR] ** 2
+        Q[YAW_ERROR] = (1.0 - keep * keep) * self.deviation[YAW_ERROR] ** 2
         P = F @ self.P @ F.T + np.diag(Q)
-        for i in ESTIMATED:  # no estimate is less certain than at the start
+        for i in PARAMETERS_AT:  # no estimate is less certain than at the start
             scale = min(self.deviation[i] / math.sqrt(P[i, i]), 1.0)
             P[i, :] *= scale
             P[:, i] *= scale
         x = np.array([*motion, *self.x[2:]])
-        x[ERROR] *= keep
+        x[YAW_ERROR] *= keep
 
         # Correction by the yaw rate, and by the lateral velocity where it is plausible
-        residual = state.yaw_rate - x[YAW_RATE]
+        residual = state.yaw_rate - x[YAW_SPEED]
         if not abs(residual) <= MOST_RESIDUAL:
             self._start(state)
             return
-        H = np.zeros(SIZE)
-        H[YAW_RATE] = 1.0
+        H = np.zeros(FILTER_SIZE)
+        H[YAW_SPEED] = 1.0
         share = min(elapsed / NOISE_TIME, 1.0)
         self.noise[0] += share * (residual**2 - self.noise[0])
-        variance = max(self.noise[0], NOISE[0] ** 2) + (NOISE_SHARE * state.yaw_rate) ** 2
+        variance = (
+            max(self.noise[0], LEAST_NOISE_LEVEL[0] ** 2) + (NOISE_SHARE * state.yaw_rate) ** 2
+        )
         x, P = corrected(x, P, H, residual, variance)
         # v_y at the measured point = v_y - (to_cg - point) r
-        H[V_Y], H[YAW_RATE], H[POINT] = 1.0, x[POINT] - self.to_cg, x[YAW_RATE]
-        residual = state.v_y - (x[V_Y] + (x[POINT] - self.to_cg) * x[YAW_RATE])
+        H[LATERAL_SPEED], H[YAW_SPEED], H[POINT] = 1.0, x[POINT] - self.to_cg, x[YAW_SPEED]
+        residual = state.v_y - (x[LATERAL_SPEED] + (x[POINT] - self.to_cg) * x[YAW_SPEED])
         if state.v_y != 0.0 and abs(residual) <= MOST_LATERAL:
             self.noise[1] += share * (residual**2 - self.noise[1])
-            x, P = corrected(x, P, H, residual, max(self.noise[1], NOISE[1] ** 2))
+            x, P = corrected(x, P, H, residual, max(self.noise[1], LEAST_NOISE_LEVEL[1] ** 2))
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             self._start(state)
             return
@@ -329,7 +331,7 @@ class Adaptation:
         self.x, self.P = x, 0.5 * (P + P.T)
 
         # Slow use; an unknown latency is used at once, because it decides about stability
-        wanted = np.array([self._significant(i) for i in ESTIMATED])
+        wanted = np.array([self._significant(i) for i in PARAMETERS_AT])
         self.used += np.minimum(elapsed / np.array(USE_TIME), 1.0) * (wanted - self.used)
         if not self.is_stated:
             self.used[0] = x[LATENCY]

@@ -4,10 +4,10 @@ from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.assumed_car import AssumedCar, assumed_car
 from ampc_ros.configuration import Configuration
 from ampc_ros.controller_interface import Controller
+from ampc_ros.estimation.adaptation import Adaptation
+from ampc_ros.estimation.command_history import SETTLED, CommandHistory
+from ampc_ros.estimation.state_prediction import StatePredictor
 from ampc_ros.mpc.internal_model import LARGEST_LAG, SHORT_LAG
-from ampc_ros.supervision.adaptation import Adaptation
-from ampc_ros.supervision.command_history import SETTLED, CommandHistory
-from ampc_ros.supervision.state_prediction import StatePredictor
 
 STEADY_TIME = 3.0
 """Time over which the disturbance is averaged that acts while there is no state: what the tyres do

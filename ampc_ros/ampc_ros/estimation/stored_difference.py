@@ -9,9 +9,6 @@ from pathlib import Path
 from ampc_msgs_config.config import build, read_text
 from ampc_ros.configuration import CarDifference, Configuration
 
-MAX_BYTES = 10_000
-"""Greatest size of such a file [bytes]."""
-
 
 def difference_file(config: Configuration) -> Path:
     """Return the file of a vehicle: a changed chassis or steering has another one."""
@@ -30,7 +27,7 @@ def read_difference(config: Configuration) -> CarDifference | None:
     if not file.exists():
         return None
     try:
-        content = json.loads(read_text(file, MAX_BYTES))
+        content = json.loads(read_text(file, 10_000))
     except (RecursionError, ValueError) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
     return build(CarDifference, content, str(file))
