@@ -24,7 +24,6 @@ from ampc_msgs_config.parameters import (
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import RUNGS, Array
 from ampc_msgs_config.validation import Checked, number, units_of
-from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
@@ -145,6 +144,8 @@ def load_car(file: File) -> ReportedCar:
     Raises:
         ValueError: File, key, value and bound.
     """
+    from ampc_msgs_config.vehicle_file import read_vehicle  # few reports need it
+
     vehicle, user = read_vehicle(file), "the report"
     return ReportedCar(
         vehicle.section(ChassisParameters, "chassis", user),
