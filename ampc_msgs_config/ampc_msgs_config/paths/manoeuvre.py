@@ -1,0 +1,108 @@
+"""Manoeuvre from which a car is identified: bends to both sides at several speeds, with slaloms."""
+
+import math
+from pathlib import Path as File
+from typing import NamedTuple
+
+import numpy as np
+
+from ampc_msgs_config.paths.curves import q
+from ampc_msgs_config.types import Array
+
+FULL_SIZE = 2.7
+"""Wheelbase from which on the manoeuvre has its full size [m]; a shorter car drives a smaller one,
+with speeds that give the same lateral acceleration."""
+STEP = 0.005
+"""Step of the integration along the time [s]."""
+RAMP = 1.2
+"""Time over which one part changes into the next [s]."""
+SPEED_CHANGE = 1.0
+"""Mean acceleration from part to part, at full size [m/s^2]."""
+SHARE_OF_ANGLE = 0.85
+"""Share of the largest steering angle that the tightest bend may need."""
+SPACING = 0.4
+"""Distance of the points at full size [m]."""
+
+
+class Part(NamedTuple):
+    """Bend with a slalom on top of it."""
+
+    duration: float
+    """[s]"""
+    speed: float
+    """At full size [m/s]."""
+    bend: float
+    """Lateral acceleration of the bend, positive to the left [m/s^2]."""
+    slalom: float
+    """Amplitude of the lateral acceleration of the slalom [m/s^2]."""
+    slow: float
+    """Frequency of the slalom at the begin of the part [Hz]."""
+    fast: float
+    """At its end [Hz]."""
+
+
+PARTS = (
+    Part(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
+    Part(7.0, 9.8, -1.78, 0.7, 0.5, 1.6),
+    Part(11.1, 5.4, -2.09, 0.5, 0.4, 1.2),
+    Part(11.1, 7.2, 2.09, 0.5, 0.3, 1.0),
+    Part(6.1, 9.8, 1.87, 0.7, 0.3, 1.3),
+    Part(9.6, 5.4, 1.8, 0.5, 0.3, 0.9),
+    Part(5.9, 9.8, 1.1, 0.7, 0.25, 0.8),
+)
+"""60 s. Durations and bends were found by a search for the smallest square. The first part has a
+steering rate of 0.8 rad/s at full size."""
+HEADING = 1.309
+"""Heading at the begin for which the square is smallest [rad]."""
+
+
+def identification_points(wheelbase: float, max_angle: float) -> Array:
+    """Return the points of the manoeuvre (n, 3): x [m], y [m], speed [m/s].
+
+    It fits into 80 x 80 m for cars whose largest angle allows its bends, and starts inside.
+
+    Args:
+        wheelbase: [m].
+        max_angle: Largest road-wheel angle [rad].
+    """
+    time, speed, lateral = programme()
+    # Size: that of the car, but no bend tighter than the car can drive
+    tightest = float(np.max(np.abs(lateral) / speed**2))
+    least = tightest * wheelbase / math.tan(SHARE_OF_ANGLE * max_angle)
+    size = max(min(wheelbase / FULL_SIZE, 1.0), least)
+    # Integrate the heading, then the position
+    speed = math.sqrt(size) * speed
+    heading = HEADING + np.cumsum(lateral / speed) * STEP
+    x, y = (np.cumsum(speed * f(heading)) * STEP for f in (np.cos, np.sin))
+    way = np.cumsum(speed) * STEP
+    at = np.interp(np.arange(way[0], way[-1], SPACING * size), way, time)
+    return np.column_stack([np.interp(at, time, each) for each in (x - x.min(), y - y.min(), speed)])
+
+
+def programme() -> tuple[Array, Array, Array]:
+    """Return time [s], speed [m/s] and lateral acceleration [m/s^2] at full size (n,) each."""
+    time = np.arange(0.0, sum(part.duration for part in PARTS), STEP)
+    speed, bend, slalom, frequency = (np.full(len(time), value) for value in PARTS[0][1:5])
+    begin, before = 0.0, PARTS[0]
+    for part in PARTS:
+        rise = np.asarray(q((time - begin) / RAMP + 0.5))
+        change = abs(part.speed - before.speed) / SPEED_CHANGE + 0.8
+        speed += (part.speed - before.speed) * q((time - begin) / change + 0.5)
+        bend += (part.bend - before.bend) * rise
+        slalom += (part.slalom - before.slalom) * rise
+        inside = (time >= begin) & (time < begin + part.duration)
+        share = (time[inside] - begin) / part.duration
+        frequency[inside] = part.slow + (part.fast - part.slow) * share
+        begin, before = begin + part.duration, part
+    phase = math.tau * np.cumsum(frequency) * STEP
+    return time, speed, bend + slalom * np.sin(phase)
+
+
+def write_manoeuvre(file: File, wheelbase: float, max_angle: float) -> None:
+    """Write the manoeuvre as a path file with the columns x_m,y_m,v_mps.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    rows = identification_points(wheelbase, max_angle)
+    np.savetxt(file, rows, "%.4f", ",", header="x_m,y_m,v_mps", comments="")
