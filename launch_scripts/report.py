@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ampc_msgs_config.config import find, load
-from launch_scripts.reporting.drive import JudgedDrive, Thresholds, judge_bag
+from launch_scripts.reporting.drive import JudgedDrive, Thresholds, judge_bag, load_car
 from launch_scripts.reporting.page import all_passed, summary_rows, verdict_rows, write_report
 from launch_scripts.reporting.pages import add_format_option, terminal_table
 
@@ -85,9 +85,7 @@ def judge_bags(options: argparse.Namespace) -> list[JudgedDrive]:
         if thresholds == Thresholds():
             raise ValueError(f"{options.thresholds}: contains no threshold")
     if options.vehicle:
-        from sim_vehicle.parameters import load_vehicle_file  # loads scenarios and wind
-
-        vehicle = load_vehicle_file(find("vehicles", options.vehicle))
+        vehicle = load_car(find("vehicles", options.vehicle))
     return [
         judge_bag(bag, name, options.namespace, vehicle, thresholds)
         for bag, name in zip(options.bags, names_of(options.bags), strict=True)

@@ -109,7 +109,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record)
     nodes.start("planner", "ampc_ros.nodes.planner_node", common | route)
     if options["faults"]:
-        faults = {"faults": options["faults"]}
+        faults = {"faults": options["faults"], "vehicle": options["vehicle"]}
         nodes.start("injector", "launch_scripts.nodes.injector_node", faults)
     nodes.start("controller", "ampc_ros.nodes.controller_node", common | control, renamed)
     nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant)

@@ -218,12 +218,9 @@ def build(cls: type[T], content: Any, where: str, key: str = "") -> T:
         raise ValueError(f"{where}: {error}") from error
 
 
-def load(cls: type[T], file: Path, section: str = "") -> T:
-    """Load one section of a YAML file, or the whole file, as an object of a record class."""
-    content = read(file)
-    if section and section not in content:
-        raise ValueError(f"{file}: missing section {section!r}")
-    return build(cls, content[section] if section else content, str(file), section)
+def load(cls: type[T], file: Path) -> T:
+    """Load a YAML file as an object of a record class; see `vehicle_file` for vehicles."""
+    return build(cls, read(file), str(file))
 
 
 def schema_line(schema_file: Path, file: Path) -> str:

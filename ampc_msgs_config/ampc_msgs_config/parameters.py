@@ -68,7 +68,11 @@ is good for cars with 0 to 0.2 s of delay and lag in total [s]."""
 
 @dataclass(frozen=True, kw_only=True)
 class SteeringParameters(Checked):
-    """Steering actuator between the commanded and the real road-wheel angle."""
+    """Steering actuator between the commanded and the real road-wheel angle, and its interface.
+
+    `ratio` and `offset` belong to the topics `steering_command` and `steering_state` only: see
+    `position` and `angle`. Everything else is a road-wheel angle.
+    """
 
     max_angle: Annotated[float, number(0.0, 1.5, "rad", "Largest road-wheel angle.")]
     max_rate: Annotated[
@@ -79,6 +83,13 @@ class SteeringParameters(Checked):
         number(-1.0, 5.0, "s", "Time constant of the first-order lag; -1: unknown, 0.08 s."),
     ] = -1.0
     delay: Annotated[float, number(0.0, 2.0, "s", "Pure delay.")] = 0.0
+    ratio: Annotated[
+        float,
+        number(0.1, 100.0, "", "Position on the steering topics per road-wheel angle."),
+    ] = 1.0
+    offset: Annotated[
+        float, number(-0.2, 0.2, "rad", "Road-wheel angle at position 0 on the steering topics.")
+    ] = 0.0
 
     def __post_init__(self) -> None:
         """Check all fields; a negative lag is the mark of an unknown one."""
@@ -95,6 +106,14 @@ class SteeringParameters(Checked):
     def time_constant(self) -> float:
         """Lag, or the assumed one where it is not stated [s]."""
         return self.lag if self.is_lag_configured else ASSUMED_LAG
+
+    def position(self, angle: float) -> float:
+        """Return the position on the steering topics of a road-wheel angle [rad]."""
+        return self.ratio * (angle - self.offset)
+
+    def angle(self, position: float) -> float:
+        """Return the road-wheel angle of a position on the steering topics [rad]."""
+        return position / self.ratio - (0.0 - self.offset)  # keeps the sign of -0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from ampc_msgs_config.frames import (
     yaw_from_quaternion,
 )
 from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.topics import BASE_LINK, MAP, STEERING_JOINT, TICK_QUANTITIES
 from ampc_msgs_config.types import (
@@ -41,6 +42,8 @@ MAX_TILT = math.radians(30.0)
 """Greatest accepted roll and pitch [rad]."""
 MAX_STEERING = math.pi / 2
 """Greatest accepted road-wheel angle [rad]."""
+ROAD_WHEEL = SteeringParameters(max_angle=1.5)
+"""Steering whose topics carry road-wheel angles."""
 MAX_TARGET_SPEED = 100.0
 """Greatest accepted target speed [m/s]."""
 
@@ -191,32 +194,51 @@ def target_speed(message: TwistStamped) -> Stamped:
     return Stamped(nanoseconds(message.header.stamp), speed)
 
 
-def steering_message(command: Plan | Command) -> JointState:
-    """Pack a command: position = angle [rad], velocity = rate [rad/s]."""
-    return joint_message(command.stamp_ns, command.steering, command.steering_rate)
+def steering_message(
+    command: Plan | Command, steering: SteeringParameters = ROAD_WHEEL
+) -> JointState:
+    """Pack a command of a road-wheel angle [rad] and its rate [rad/s]; see `joint_message`."""
+    return joint_message(command.stamp_ns, command.steering, command.steering_rate, steering)
 
 
-def joint_message(stamp_ns: int, angle: float, rate: float) -> JointState:
-    """Pack a road-wheel angle [rad] and its rate [rad/s]."""
+def joint_message(
+    stamp_ns: int, angle: float, rate: float, steering: SteeringParameters = ROAD_WHEEL
+) -> JointState:
+    """Pack a road-wheel angle [rad] and its rate [rad/s] as position and velocity.
+
+    Args:
+        stamp_ns: Stamp [ns].
+        angle: Road-wheel angle [rad].
+        rate: Rate of the road-wheel angle [rad/s].
+        steering: Ratio and offset of the topic.
+    """
     message = JointState()
     message.header.stamp, message.header.frame_id = time_message(stamp_ns), BASE_LINK
-    message.name, message.position, message.velocity = [STEERING_JOINT], [angle], [rate]
+    message.name, message.position = [STEERING_JOINT], [steering.position(angle)]
+    message.velocity = [steering.ratio * rate]
     return message
 
 
-def steering_angle(message: JointState) -> Stamped:
+def steering_angle(message: JointState, steering: SteeringParameters = ROAD_WHEEL) -> Stamped:
     """Unpack a road-wheel angle [rad].
 
+    Args:
+        message: Message of `steering_command` or `steering_state`.
+        steering: Ratio and offset of the topic.
+
     Raises:
-        ValueError: The message does not hold exactly one angle in [-MAX_STEERING, MAX_STEERING].
+        ValueError: The message does not hold exactly one position, or its road-wheel angle is not
+            in [-MAX_STEERING, MAX_STEERING].
     """
-    angles = list(message.position)
-    if len(angles) != 1:
-        raise ValueError(f"steering: position = {angles} must hold one angle")
-    if not abs(angles[0]) <= MAX_STEERING:
-        bounds = f"[{-MAX_STEERING:.4g}, {MAX_STEERING:.4g}] rad"
-        raise ValueError(f"steering: position[0] = {angles[0]:g} must lie in {bounds}")
-    return Stamped(nanoseconds(message.header.stamp), angles[0])
+    positions = list(message.position)
+    if len(positions) != 1:
+        raise ValueError(f"steering: position = {positions} must hold one angle")
+    position, angle = positions[0], steering.angle(positions[0])
+    if not abs(angle) <= MAX_STEERING:
+        low, high = sorted(map(steering.position, (-MAX_STEERING, MAX_STEERING)))
+        bounds = f"[{low:.4g}, {high:.4g}] rad"
+        raise ValueError(f"steering: position[0] = {position:g} must lie in {bounds}")
+    return Stamped(nanoseconds(message.header.stamp), angle)
 
 
 def tick_message(stamp_ns: int, values: Sequence[float]) -> JointState:

@@ -9,6 +9,7 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import NANOSECONDS, Plan, VehicleState
+from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.configuration import default_table
 from ampc_ros.mpc.gain_table import GainTable
 from ampc_ros.mpc.gain_table import load_gain_table as load_gains
@@ -33,9 +34,9 @@ def load_vehicle(name: str) -> VehicleModel:
     Raises:
         ValueError: The file is missing or wrong.
     """
-    file = find("vehicles", name)
-    chassis = load(ChassisParameters, file, "chassis")
-    return VehicleModel(name, chassis, load(SteeringParameters, file, "steering"))
+    vehicle, user = read_vehicle(find("vehicles", name)), "the controller"
+    chassis = vehicle.section(ChassisParameters, "chassis", user)
+    return VehicleModel(name, chassis, vehicle.section(SteeringParameters, "steering", user))
 
 
 def make_state(

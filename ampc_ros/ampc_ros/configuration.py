@@ -17,6 +17,7 @@ from ampc_msgs_config.parameters import (
 )
 from ampc_msgs_config.scenarios.scenario_yaml import document, read_document
 from ampc_msgs_config.validation import Checked, number
+from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.mpc.gain_table import gain_table, read_gain_table
 
 CONTROLLERS = {
@@ -103,8 +104,8 @@ def configuration(choices: Choices) -> Configuration:
         ValueError: A name is unknown, or a file is missing or wrong.
     """
     controller = check_controller(choices.controller)
-    vehicle = find("vehicles", choices.vehicle)
-    chassis = load(ChassisParameters, vehicle, "chassis")
+    vehicle = read_vehicle(find("vehicles", choices.vehicle))
+    chassis = vehicle.section(ChassisParameters, "chassis", "the controller")
     settings = load(ControllerSettings, find("controllers", choices.settings))
     if choices.controller == "classic":
         settings = replace(settings, nominal_speed=settings.nominal_speed or CLASSIC_SPEED)
@@ -112,7 +113,7 @@ def configuration(choices: Choices) -> Configuration:
     return Configuration(
         controller,
         chassis,
-        load(SteeringParameters, vehicle, "steering"),
+        vehicle.section(SteeringParameters, "steering", "the controller"),
         settings,
         load(GuardLimits, find("guards", choices.guard)),
         read_gain_table(gains) if gains else {},

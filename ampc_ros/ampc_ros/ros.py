@@ -10,6 +10,7 @@ from std_msgs.msg import Bool, Float64, String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import TickRecord
 from ampc_ros.configuration import to_yaml
 from ampc_ros.supervision.supervisor import Supervisor
@@ -59,6 +60,7 @@ class Outputs:
         record: TickRecord,
         timing: Sequence[float],
         account: Sequence[float],
+        steering: SteeringParameters,
         frame_id: str = ros.MAP,
     ) -> None:
         """Publish a command and its tick record.
@@ -67,10 +69,11 @@ class Outputs:
             record: Record of this tick.
             timing: Solve time and lateness of the timer [s].
             account: Numbers of ACCOUNT.
+            steering: Ratio and offset of the command's topic.
             frame_id: Fixed frame of path and odometry.
         """
         command, plan = record.command, record.command.plan
-        self.newest = ros.steering_message(command)
+        self.newest = ros.steering_message(command, steering)
         self.commands.publish(self.newest)
         values = (*plan.diagnosis, *timing)
         quantities = (*values, *record.quantities, *account)

@@ -5,6 +5,7 @@ No message is kept, because a bag of an hour has a million. Only `odom` is requi
 
 from array import array
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config import ros, topics
-from ampc_msgs_config.config import parse
+from ampc_msgs_config.config import build, parse
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, Array
 from launch_scripts.bags.bag import Bag, BagMessage, open_bag
 
@@ -24,13 +26,12 @@ WANTED = (
 )
 UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
     topics.ODOM: ros.vehicle_state,
-    topics.STEERING_COMMAND: ros.steering_angle,
-    topics.STEERING_STATE: ros.steering_angle,
     topics.TARGET_SPEED: ros.target_speed,
     topics.WIND: lambda m: (ros.nanoseconds(m.header.stamp), m.vector.x, m.vector.y),
     topics.TICK: lambda m: (ros.nanoseconds(m.header.stamp), *m.position),
 }
 """Functions that return stamp [ns] and values of a message, by topic."""
+STEERING = (topics.STEERING_COMMAND, topics.STEERING_STATE)
 MAX_PREDICTIONS = 1000
 """At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
 FIRST_STAMP = 10 * NANOSECONDS
@@ -68,13 +69,16 @@ class BagColumns(NamedTuple):
     """Missing or unusual content, one sentence each."""
 
 
-def read_columns(path: File, namespace: str | None = None) -> BagColumns:
-    """Read a drive from a bag.
+def read_columns(
+    path: File, namespace: str | None = None, steering: SteeringParameters = ros.ROAD_WHEEL
+) -> BagColumns:
+    """Read a drive from a bag; steering angles become road-wheel angles.
 
     Args:
         path: Folder of the bag, or one MCAP file.
         namespace: Namespace of the topics, such as `/car1`; by default that of the first steering
             command, otherwise of the first odometry.
+        steering: Ratio and offset of the steering topics, where the bag has no configuration.
 
     Raises:
         ValueError: One line that names the bag and the fault.
@@ -98,7 +102,7 @@ def read_columns(path: File, namespace: str | None = None) -> BagColumns:
             wanted.remove(topic)
         if prefix + topics.TICK in wanted:  # contains the debug topics
             wanted -= {prefix + topic for topic in DEBUG}
-        collector = Collector(bag, prefix)
+        collector = Collector(bag, prefix, topic_steering(bag, prefix) or steering)
         for message in bag.messages(wanted):
             collector.take(message)
         return arrange(collector, notes)
@@ -117,6 +121,28 @@ def namespace_of(bag: Bag) -> str:
     raise ValueError(
         f"{bag.path}: holds no message on {topics.STEERING_COMMAND}, nor {topics.ODOM}"
     )
+
+
+def topic_steering(bag: Bag, prefix: str) -> SteeringParameters | None:
+    """Return ratio and offset of the steering topics by the last configuration in a bag.
+
+    Args:
+        bag: Open bag.
+        prefix: Namespace with its slash.
+
+    Returns:
+        The steering of the controller, otherwise of the simulated car; None where neither is
+        recorded.
+    """
+    for topic in (prefix + topics.CONFIGURATIONS[0], prefix + topics.CONFIGURATIONS[1]):
+        if topic not in bag.topics or bag.wrong_type(topic):
+            continue
+        for message in list(bag.messages({topic}))[-1:]:
+            with suppress(ValueError):
+                content = parse(bag.decode(message).data, topic)
+                part = content.get("vehicle", content)
+                return build(SteeringParameters, part.get("steering"), topic, "steering")
+    return None
 
 
 class ColumnRows(NamedTuple):
@@ -173,14 +199,15 @@ class Column:
 class Collector:
     """Collects the numbers of the messages of one bag."""
 
-    def __init__(self, bag: Bag, prefix: str) -> None:
+    def __init__(self, bag: Bag, prefix: str, steering: SteeringParameters) -> None:
         """Create an empty collector.
 
         Args:
             bag: Decodes the messages.
             prefix: Namespace with its slash, which precedes the names of the topics.
+            steering: Ratio and offset of the steering topics.
         """
-        self.bag, self.prefix = bag, prefix
+        self.bag, self.prefix, self.steering = bag, prefix, steering
         self.columns: dict[str, Column] = {topics.ODOM: Column()}
         self.tick_names: list[str] = []
         self.paths: list[tuple[int, Array]] = []
@@ -218,7 +245,9 @@ class Collector:
             self.tick_names = self.tick_names or list(message.name)
             if message.name != self.tick_names or len(message.position) != len(self.tick_names):
                 raise ValueError("its quantities are not those of the first message")
-        if name in UNPACK:
+        if name in STEERING:
+            column.add(log_time_ns, *ros.steering_angle(message, self.steering))
+        elif name in UNPACK:
             column.add(log_time_ns, *UNPACK[name](message))
         elif name == topics.REFERENCE_PATH:
             points = path_array(message)

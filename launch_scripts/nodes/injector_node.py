@@ -19,8 +19,11 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.vehicle_file import load_section
 from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Message
 from launch_scripts.faults.schedule import Injector, load_faults
 
@@ -55,6 +58,8 @@ class InjectorNode(BaseNode):
             raise ValueError(
                 "faults: kind = clock_jump works only in the offline fault matrix; use stamp_jump"
             )
+        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
+        self.steering = load_section(SteeringParameters, file, "steering", "the node injector")
         self.injector = Injector(schedule)
         self.start_ns = -1
         self.qp_fails = False
@@ -86,7 +91,7 @@ class InjectorNode(BaseNode):
         if topic == PATH:
             self.path = message
         try:
-            self.injector.put(unpack(topic, message, self.since_ns))
+            self.injector.put(unpack(topic, message, self.since_ns, self.steering))
         except ValueError as error:
             self.reject(error)
         self.on_timer()
@@ -100,7 +105,7 @@ class InjectorNode(BaseNode):
     def on_timer(self) -> None:
         """Publish the messages that are due, and switch the QP fault of the controller."""
         for message in self.injector.due(self.since_ns):
-            self.outputs[message.topic].publish(pack(message))
+            self.outputs[message.topic].publish(pack(message, self.steering))
         fails = self.injector.is_on("qp_fault", self.since_ns)
         if fails != self.qp_fails and self.controller.services_are_ready():
             self.qp_fails = fails
@@ -112,8 +117,14 @@ class InjectorNode(BaseNode):
         self.report(self.now_ns, f"injected: {', '.join(active)}" if active else "", {})
 
 
-def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
+def unpack(topic: str, message: Any, arrival_ns: int, steering: SteeringParameters) -> Message:
     """Unpack a ROS message that arrives now.
+
+    Args:
+        topic: Name of its topic.
+        message: Message.
+        arrival_ns: Time of arrival [ns].
+        steering: Ratio and offset of the steering topics.
 
     Raises:
         ValueError: The message is invalid without any fault.
@@ -123,14 +134,14 @@ def unpack(topic: str, message: Any, arrival_ns: int) -> Message:
         return Message(topic, arrival_ns, stamp_ns, ros.vehicle_state(message), frame_id)
     if topic == PATH:
         return Message(topic, arrival_ns, stamp_ns, np.array(ros.path_points(message)), frame_id)
-    return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message).value)
+    return Message(topic, arrival_ns, stamp_ns, ros.steering_angle(message, steering).value)
 
 
-def pack(message: Message) -> Any:
+def pack(message: Message, steering: SteeringParameters) -> Any:
     """Pack a message for the controller; a path may have no or a single point."""
     stamp_ns, value = message.stamp_ns, message.value
     if message.topic == STEERING_INPUT:
-        return ros.joint_message(stamp_ns, value, 0.0)
+        return ros.joint_message(stamp_ns, value, 0.0, steering)
     if message.topic == ODOM_INPUT:
         result = ros.odometry_message(value._replace(stamp_ns=stamp_ns))
         orientation = result.pose.pose.orientation

@@ -12,7 +12,7 @@ from ampc_msgs_config.config import parse
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import open_bag
-from launch_scripts.bags.bag_columns import namespace_of
+from launch_scripts.bags.bag_columns import namespace_of, topic_steering
 
 CONTROLLER, SIMULATOR = (f"{node}/{topics.CONFIGURATION}" for node in ("controller", "simulator"))
 INPUTS = (
@@ -107,6 +107,7 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     answers: dict[str, list[Answer]] = {topics.TICK: [], topics.STEERING_COMMAND: []}
     with open_bag(bag) as opened:
         prefix = namespace_of(opened) if namespace is None else namespace.rstrip("/")
+        steering = topic_steering(opened, f"{prefix}/") or ros.ROAD_WHEEL
         heard = {f"{prefix}/{name}": name for name in INPUTS}
         for name in INPUTS:
             if (faulty := f"{prefix}/{topics.FAULTY}{name}") in opened.topics:
@@ -129,7 +130,8 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
                     values = dict(zip(message.name, message.position, strict=True))
                     answers[name].append(Answer(position, stamp_ns, values))
                 else:
-                    values = {"steering": ros.steering_angle(message).value, **NO_AGES}
+                    angle = ros.steering_angle(message, steering).value
+                    values = {"steering": angle, **NO_AGES}
                     answers[name].append(Answer(position, stamp_ns, values))
             except ValueError:
                 continue  # the controller must have rejected it, too

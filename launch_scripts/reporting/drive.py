@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,12 +24,10 @@ from ampc_msgs_config.parameters import (
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import RUNGS, Array
 from ampc_msgs_config.validation import Checked, number, units_of
+from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
-
-if TYPE_CHECKING:
-    from sim_vehicle.parameters import Vehicle
 
 T = TypeVar("T", bound=Checked)
 NO_POINTS = np.empty((0, 2))
@@ -133,6 +131,28 @@ def check_thresholds(thresholds: Thresholds, metrics: Mapping[str, Value]) -> li
     return result
 
 
+class ReportedCar(NamedTuple):
+    """Car of a bag without a configuration."""
+
+    chassis: ChassisParameters
+    steering: SteeringParameters
+    size: SizeParameters | None
+
+
+def load_car(file: File) -> ReportedCar:
+    """Load the car of a bag from a vehicle file, whose size may be missing.
+
+    Raises:
+        ValueError: File, key, value and bound.
+    """
+    vehicle, user = read_vehicle(file), "the report"
+    return ReportedCar(
+        vehicle.section(ChassisParameters, "chassis", user),
+        vehicle.section(SteeringParameters, "steering", user),
+        vehicle.section(SizeParameters, "size", user) if "size" in vehicle.sections else None,
+    )
+
+
 class RunContext(NamedTuple):
     """Controller and car of a drive; None where neither the bag nor the user names them."""
 
@@ -215,7 +235,7 @@ def judge_bag(
     bag: File,
     name: str,
     namespace: str | None = None,
-    vehicle: "Vehicle | None" = None,
+    vehicle: ReportedCar | None = None,
     thresholds: Thresholds | None = None,
 ) -> JudgedDrive:
     """Read a bag and compute the metrics of its drive.
@@ -230,7 +250,7 @@ def judge_bag(
     Raises:
         ValueError: Names the bag and the cause in one line.
     """
-    columns = read_columns(bag, namespace)
+    columns = read_columns(bag, namespace, *([vehicle.steering] if vehicle else []))
     return judge_columns(columns, name, run_context_of(columns, vehicle), thresholds)
 
 
@@ -323,7 +343,7 @@ def errors_of(
 
 def run_context_of(
     columns: BagColumns,
-    vehicle: "Vehicle | None" = None,
+    vehicle: ReportedCar | None = None,
     settings: ControllerSettings | None = None,
     controller: str = "",
 ) -> RunContext:

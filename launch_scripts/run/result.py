@@ -11,11 +11,10 @@ from ampc_msgs_config.metrics import METRICS, RESULT, evaluate_drive
 from ampc_msgs_config.parameters import ControllerSettings
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
-from launch_scripts.reporting.drive import judge_columns, run_context_of
+from launch_scripts.reporting.drive import judge_columns, load_car, run_context_of
 from launch_scripts.reporting.page import write_report
 from launch_scripts.reporting.pages import terminal_table, to_json
 from launch_scripts.run.options import Run
-from sim_vehicle.parameters import load_vehicle_file
 
 
 def write_result(run: Run, ended: str) -> Table:
@@ -29,9 +28,9 @@ def write_result(run: Run, ended: str) -> Table:
         ValueError: The bag contains no drive.
     """
     options = run.options
-    vehicle = load_vehicle_file(find("vehicles", options["vehicle"]))
+    vehicle = load_car(find("vehicles", options["vehicle"]))
     settings = load(ControllerSettings, find("controllers", options["settings"]))
-    columns = read_columns(run.bag)
+    columns = read_columns(run.bag, steering=vehicle.steering)
     log = drive_log(columns)
     to_cg = vehicle.chassis.cg_to_rear_axle
     metrics = evaluate_drive(log.drive, log.path, to_cg, settings.sample_time)

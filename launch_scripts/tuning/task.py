@@ -18,6 +18,7 @@ from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import check_range, number
+from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
@@ -207,7 +208,7 @@ class TuningTask(NamedTuple):
         return {
             "version": __version__,
             "vehicle": file.name if file.is_file() else self.vehicle,
-            "vehicle_sha256": sha256(find("vehicles", self.vehicle).read_bytes()),
+            "vehicle_sha256": read_vehicle(find("vehicles", self.vehicle)).digest,
             "drives_sha256": sha256(DEFINITION.encode()),
             "formulation": self.formulation,
             "fitness": self.kind,

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from ampc_msgs_config.config import load
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     SizeParameters,
     SteeringParameters,
 )
 from ampc_msgs_config.scenarios.scenario import SPEED_PREVIEW
-from ampc_msgs_config.validation import Checked, choice, number
+from ampc_msgs_config.validation import Checked, choice, hints, number
+from ampc_msgs_config.vehicle_file import SECTIONS, read_vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,4 +107,5 @@ def load_vehicle_file(file: Path) -> Vehicle:
     Raises:
         ValueError: File, key, value and bound.
     """
-    return load(Vehicle, file)
+    content = read_vehicle(file)
+    return Vehicle(*(content.section(hints(Vehicle)[n], n, "the simulated car") for n in SECTIONS))

@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ampc_msgs_config.config import find, load, shipped
+from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters, SteeringParameters
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import load_scenario
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.supervision.checks import check_path, mean_curvature
 
 DATA = File(__file__).resolve().parents[3] / "shared" / "data"
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 UP = math.inf
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
-STEERING = load(SteeringParameters, find("vehicles", "paper"), "steering")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
+STEERING = load_section(SteeringParameters, find("vehicles", "paper"), "steering")
 MAX_ANGLE = STEERING.max_angle
 SHARPEST = math.tan(MAX_ANGLE) / CHASSIS.wheelbase
 
@@ -121,9 +122,9 @@ def test_points_that_jitter_by_5_centimetres_can_be_driven_and_a_right_angle_can
 @pytest.mark.parametrize("name", shipped("scenarios"))
 @pytest.mark.parametrize("car", shipped("vehicles"))
 def test_every_shipped_scenario_can_be_driven(name: str, car: str) -> None:
-    chassis = load(ChassisParameters, find("vehicles", car), "chassis")
-    steering = load(SteeringParameters, find("vehicles", car), "steering")
-    size = load(SizeParameters, find("vehicles", car), "size")
+    chassis = load_section(ChassisParameters, find("vehicles", car), "chassis")
+    steering = load_section(SteeringParameters, find("vehicles", car), "steering")
+    size = load_section(SizeParameters, find("vehicles", car), "size")
     check_path(load_scenario(name, size).points, chassis, steering.max_angle)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.csv_columns import MAX_CSV_BYTES, MAX_POINTS, tangent_plane
 from ampc_msgs_config.paths.path_file import (
@@ -17,10 +17,11 @@ from ampc_msgs_config.paths.path_file import (
 )
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import END_DECELERATION, Scenario, speed_at
+from ampc_msgs_config.vehicle_file import load_section
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 with_data = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is not at hand")
-SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
+SIZE = load_section(SizeParameters, find("vehicles", "paper"), "size")
 BRAKING = (5.0 - 0.5) / (2 * END_DECELERATION)
 """Additional time of a drive at 5 m/s that brakes at the end of the path, down to 0.5 m/s [s]."""
 STRAIGHT = "0,0\n10,0\n20,0\n30,0\n"

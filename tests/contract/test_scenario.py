@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load, shipped
+from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.curves import ISO_ENTRY, q
 from ampc_msgs_config.paths.path import point_at, project
@@ -29,8 +29,9 @@ from ampc_msgs_config.scenarios.scenario import (
 )
 from ampc_msgs_config.scenarios.wind import wind_at, wind_of_steps
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 
-SIZE = load(SizeParameters, find("vehicles", "paper"), "size")
+SIZE = load_section(SizeParameters, find("vehicles", "paper"), "size")
 many = settings(max_examples=60, deadline=None, derandomize=True)
 
 
@@ -88,7 +89,7 @@ DEMANDS = {"sc1": 1.8, "sc1_falcone": 2.2, "sc2": 5.0, "sc3_constant": 7.9, "sc3
 @pytest.mark.parametrize("name", sorted(shipped("scenarios")))
 @pytest.mark.parametrize("vehicle", sorted(shipped("vehicles")))
 def test_shipped_scenarios_load_and_their_paths_outlast_the_drive(name: str, vehicle: str) -> None:
-    scenario = load_scenario(name, load(SizeParameters, find("vehicles", vehicle), "size"))
+    scenario = load_scenario(name, load_section(SizeParameters, find("vehicles", vehicle), "size"))
     path = make_path(scenario.points)
     driven = sum(
         speed_at(scenario.speed, 0.1 * i) * 0.1 for i in range(int(10 * scenario.duration))

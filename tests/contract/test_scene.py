@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.scene import (
     CALM,
     MAX_DRAWN_POINTS,
@@ -23,6 +23,7 @@ from ampc_msgs_config.nodes.scene import (
 )
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 
 CAR = Outline(wheelbase=2.8, width=1.8, front_overhang=0.9, rear_overhang=1.0)
 NORTH = VehicleState(0, 10.0, 20.0, math.pi / 2, 9.0, 0.0, 0.0)
@@ -58,8 +59,8 @@ def test_wheels_stand_at_the_axles_and_only_the_front_ones_turn() -> None:
 
 @pytest.mark.parametrize(("at", "to_cg"), [("rear axle", -1.0), ("centre of gravity", 0.0)])
 def test_rear_axle_follows_from_the_point_of_the_odometry(at: str, to_cg: float) -> None:
-    chassis = load(ChassisParameters, find("vehicles", "paper"), "chassis")
-    size = load(SizeParameters, find("vehicles", "paper"), "size")
+    chassis = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
+    size = load_section(SizeParameters, find("vehicles", "paper"), "size")
     car = car_of(chassis, size, to_cg)
     ahead = 0.0 if at == "rear axle" else -chassis.cg_to_rear_axle
     actual = drawn(View(NORTH), car)

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import closure, make_path, without_standstills
 from ampc_msgs_config.paths.smoothing import FEWEST, Smoother, chord_parameter, smoothed
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.supervision.checks import check_path
 
 generated = settings(max_examples=15, deadline=None, derandomize=True)
@@ -160,7 +161,9 @@ def test_zigzag_is_no_noise(spacing: float, width: float) -> None:
     points[::2, 1] += width
     assert smoothed(points, None, False) is None
     with pytest.raises(ValueError, match=r"path: curvature after .* the range of the steering"):
-        check_path(points, load(ChassisParameters, find("vehicles", "paper"), "chassis"), 0.52)
+        check_path(
+            points, load_section(ChassisParameters, find("vehicles", "paper"), "chassis"), 0.52
+        )
     assert smoothed(points, width / 2, False) is not None  # the user states the noise
 
 

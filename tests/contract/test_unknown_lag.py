@@ -11,6 +11,7 @@ import pytest
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ASSUMED_LAG, ControllerSettings, SteeringParameters
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.configuration import Choices, Configuration, configuration, from_yaml, to_yaml
 from ampc_ros.mpc.internal_model import actuator_of
 from ampc_ros.preview.state_filter import LEAST_SHARE
@@ -49,15 +50,15 @@ def test_a_vehicle_file_without_lag_loads_with_the_assumed_one(tmp_path: Path) -
 
 @pytest.mark.parametrize("lag", [0.0, 0.08, 0.3])
 def test_a_lag_that_is_stated_is_used_also_zero(lag: float, tmp_path: Path) -> None:
-    steering = load(SteeringParameters, vehicle_file(tmp_path, str(lag)), "steering")
+    steering = load_section(SteeringParameters, vehicle_file(tmp_path, str(lag)), "steering")
     assert steering.is_lag_configured
     assert steering.time_constant == lag
     assert actuator_of(steering, 0.1).lag == lag
 
 
 def test_minus_one_is_the_same_as_no_line(tmp_path: Path) -> None:
-    stated = load(SteeringParameters, vehicle_file(tmp_path, "-1"), "steering")
-    assert stated == load(SteeringParameters, vehicle_file(tmp_path, ""), "steering")
+    stated = load_section(SteeringParameters, vehicle_file(tmp_path, "-1"), "steering")
+    assert stated == load_section(SteeringParameters, vehicle_file(tmp_path, ""), "steering")
 
 
 @pytest.mark.parametrize(

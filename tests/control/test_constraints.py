@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.mpc.constraints import FIRST_OUTPUT_STEP, output_rows, output_steps, row_count
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.internal_model import limits_of
@@ -26,7 +27,7 @@ from tests.filled import (
     zero_order_hold,
 )
 
-CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
+CHASSIS = astuple(load_section(ChassisParameters, find("vehicles", "paper"), "chassis"))
 TABLE_3 = Gains(45, 15, 5, 0.75, 10.0, 0.01)
 DIGITS = 1e-9
 """Tolerance of the bounds [rad], [m]."""

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.mpc.internal_model import Actuator
 from ampc_ros.mpc.model import STATES
 from ampc_ros.mpc.small_matrices import make_scratch
@@ -41,7 +42,7 @@ SIZE = 1e-6
 @cache
 def chassis(car: str) -> ChassisParameters:
     """Load a shipped car."""
-    return load(ChassisParameters, find("vehicles", car), "chassis")
+    return load_section(ChassisParameters, find("vehicles", car), "chassis")
 
 
 def alone(car: str) -> FeedForward:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import build, find, load, shipped
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_msgs_config.types import LIMITS
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.supervision.guard import (
     LONGEST_PAUSE,
     MAX_GUARD_SPEED,
@@ -34,7 +35,7 @@ from ampc_ros.supervision.guard import (
 many = settings(max_examples=300, deadline=None, derandomize=True)
 anything = st.floats(allow_nan=True, allow_infinity=True)
 PERIOD = 0.1
-CHASSIS = load(ChassisParameters, find("vehicles", "ordinary"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "ordinary"), "chassis")
 OVERSTEERING = replace(CHASSIS, rear_cornering_stiffness=20000.0)
 NEUTRAL = replace(
     CHASSIS, cg_to_front_axle=1.35, cg_to_rear_axle=1.35, rear_cornering_stiffness=54000.0

@@ -8,6 +8,7 @@ import pytest
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings, SteeringParameters
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.mpc.internal_model import (
     ROW_SIZE,
     Actuator,
@@ -18,7 +19,7 @@ from ampc_ros.mpc.internal_model import (
     unpack_internal_model,
 )
 
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 STEERING = SteeringParameters(max_angle=0.4, max_rate=0.5, lag=0.07, delay=0.23)
 

@@ -16,6 +16,7 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import path_frame, place, set_point
 from ampc_msgs_config.types import Array, VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.configuration import CLASSIC_SPEED, CONTROLLERS, Choices, configuration
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
@@ -24,7 +25,7 @@ from ampc_ros.paper.tick import STEERING
 from ampc_ros.supervision.warm_up import warm_up
 from tests.filled import laguerre_sequence, lateral_dynamics
 
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 ROAD = make_path([(0.0, 0.0), (200.0, 0.0)])
 BEND = make_path([(x, 3.0 * math.sin(x / 20.0)) for x in range(0, 200, 2)])

@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.mpc.model import DELTA, STATES
 from tests.filled import augment, exponential_integrals, lateral_dynamics, zero_order_hold
 
-PAPER = load(ChassisParameters, find("vehicles", "paper"), "chassis")
-ORDINARY = load(ChassisParameters, find("vehicles", "ordinary"), "chassis")
+PAPER = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
+ORDINARY = load_section(ChassisParameters, find("vehicles", "ordinary"), "chassis")
 both_cars = pytest.mark.parametrize("chassis", [PAPER, ORDINARY], ids=["paper", "ordinary"])
 many = settings(max_examples=100, deadline=None, derandomize=True)
 

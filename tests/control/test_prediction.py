@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from tests.filled import augment, laguerre_sequence, predict, quadratic_cost, zero_order_hold
 
-CHASSIS = astuple(load(ChassisParameters, find("vehicles", "paper"), "chassis"))
+CHASSIS = astuple(load_section(ChassisParameters, find("vehicles", "paper"), "chassis"))
 C = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 seeds = st.integers(0, 2**32 - 1)
 many = settings(max_examples=50, deadline=None, derandomize=True)

@@ -17,6 +17,7 @@ from ampc_msgs_config.parameters import (
     SteeringParameters,
 )
 from ampc_msgs_config.types import Array
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.mpc.internal_model import (
     Actuator,
     actuator_of,
@@ -33,9 +34,9 @@ from tests.filled import laguerre_sequence, lateral_dynamics, running_sum, sampl
 T = 0.1
 FINE = 100
 """Steps of the reference simulation in one tick: delays are multiples of T / FINE."""
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
 VEHICLE = astuple(CHASSIS)
-ORDINARY = astuple(load(ChassisParameters, find("vehicles", "ordinary"), "chassis"))
+ORDINARY = astuple(load_section(ChassisParameters, find("vehicles", "ordinary"), "chassis"))
 many = settings(max_examples=100, deadline=None, derandomize=True)
 
 

@@ -14,9 +14,10 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path, point_at
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.pure_pursuit import PurePursuit
 
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 ROAD = make_path([(0.0, 0.0), (100.0, 0.0)])
 both_sides = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])

@@ -107,16 +107,16 @@ def test_messages_without_a_fault_are_forwarded_unchanged() -> None:
     path = ros.path_message(np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 1.0)]), 5)
     steering = ros.joint_message(7, 0.1, 0.0)
     for topic, message in ((ODOM_INPUT, odom), (PATH, path), (STEERING_INPUT, steering)):
-        assert pack(unpack(topic, message, 0)) == message
+        assert pack(unpack(topic, message, 0, ros.ROAD_WHEEL), ros.ROAD_WHEEL) == message
 
 
 def test_faulty_messages_are_rejected_by_the_controller() -> None:
     message = Message(ODOM_INPUT, 0, 3_000_000_000, STATE)
     for wrong in ({"frame_id": ""}, {"length": 0.0}):
         with pytest.raises(ValueError, match="odom: "):
-            ros.vehicle_state(pack(message._replace(**wrong)))
+            ros.vehicle_state(pack(message._replace(**wrong), ros.ROAD_WHEEL))
     for points in (np.zeros((0, 2)), np.ones((1, 2))):
-        sent = pack(Message(PATH, 0, 5, points))
+        sent = pack(Message(PATH, 0, 5, points), ros.ROAD_WHEEL)
         assert isinstance(sent, PathMessage)
         assert ros.path_points(sent) == [tuple(point) for point in points]
 

@@ -134,7 +134,7 @@ def refusal(file: Path, content: Any) -> str:
         ("tyre", "model", "brush", "tyre.model = 'brush' must be one of pacejka, linea"),
         ("body", "track", "1_0", "body.track = '1_0' must be a number in ["),
         ("powertrain", "gears", 6, "powertrain: unknown key 'gears'; known are max_drive_force"),
-        ("aero", "drag_area", 1.0, "vehicle.yaml: unknown key 'aero'; known are chassis"),
+        ("aero", "drag_area", 1.0, "vehicle.yaml: unknown section 'aero'; known are same_as"),
     ],
 )
 def test_wrong_vehicle_file_is_refused_by_file_section_key_value_and_bound(
@@ -150,4 +150,6 @@ def test_vehicle_file_without_a_key_or_a_section_is_refused(tmp_path: Path) -> N
     del content["chassis"]["mass"]
     assert "chassis: missing key 'mass'" in refusal(tmp_path / "vehicle.yaml", content)
     del content["chassis"]
-    assert "missing key 'chassis'" in refusal(tmp_path / "vehicle.yaml", content)
+    assert "missing section 'chassis', which the simulated car needs" in refusal(
+        tmp_path / "vehicle.yaml", content
+    )

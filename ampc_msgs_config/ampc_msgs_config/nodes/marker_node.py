@@ -21,14 +21,15 @@ from std_msgs.msg import Bool, ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros, topics
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
-from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
+from ampc_msgs_config.parameters import ChassisParameters, SizeParameters, SteeringParameters
 from ampc_msgs_config.types import Array, VehicleState
+from ampc_msgs_config.vehicle_file import read_vehicle
 
 PICTURE_PERIOD = 0.05
 """Wall time between two pictures [s]."""
@@ -53,12 +54,15 @@ class MarkerNode(BaseNode):
         to_cg = declare(
             self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
         )
-        chassis = load(ChassisParameters, file, "chassis")
-        self.car = car_of(chassis, load(SizeParameters, file, "size"), to_cg)
+        vehicle, user = read_vehicle(file), "the node markers"
+        chassis = vehicle.section(ChassisParameters, "chassis", user)
+        self.car = car_of(chassis, vehicle.section(SizeParameters, "size", user), to_cg)
+        steering = vehicle.section(SteeringParameters, "steering", user)
+        angle_of = partial(ros.steering_angle, steering=steering)
         self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
             topics.ODOM: (Odometry, qos.NEWEST, self.state_of),
-            topics.STEERING_COMMAND: (JointState, qos.NEWEST, ros.steering_angle),
-            topics.STEERING_STATE: (JointState, qos.NEWEST, ros.steering_angle),
+            topics.STEERING_COMMAND: (JointState, qos.NEWEST, angle_of),
+            topics.STEERING_STATE: (JointState, qos.NEWEST, angle_of),
             topics.REFERENCE_PATH: (PathMessage, qos.LATCHED, self.points_of),
             topics.PREDICTED_PATH: (PathMessage, qos.NEWEST, self.points_of),
             topics.WIND: (Vector3Stamped, qos.NEWEST, wind_of),

@@ -2,11 +2,12 @@
 
 from rclpy.node import Node
 
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
+from ampc_msgs_config.vehicle_file import load_section
 
 
 def declare_scenario(node: Node) -> Scenario:
@@ -31,7 +32,8 @@ def declare_scenario(node: Node) -> Scenario:
         declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
         declare(node, "columns", default.columns, "of the CSV, such as x=3,y=4; empty: by header"),
     )
-    scenario = choose_scenario(route, load(SizeParameters, find("vehicles", vehicle), "size"))
+    size = load_section(SizeParameters, find("vehicles", vehicle), "size", f"the {node.get_name()}")
+    scenario = choose_scenario(route, size)
     if scenario.note:
         node.get_logger().info(f"{route.path}: {scenario.note}")
     return scenario

@@ -273,7 +273,8 @@ class ControllerNode(ConfiguredNode):
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
         try:
-            self.supervisor.take_steering(ros.steering_angle(message).value)
+            steering = self.supervisor.config.steering
+            self.supervisor.take_steering(ros.steering_angle(message, steering).value)
         except ValueError as error:
             self.reject(error)
 
@@ -304,7 +305,8 @@ class ControllerNode(ConfiguredNode):
             timing = time.perf_counter() - start, self.policy.lateness_ns / NANOSECONDS
             self.commands += 1
             account = self.rejected, self.policy.missed, self.commands
-            self.outputs.publish_tick(record, timing, account, self.frame.name)
+            steering = self.supervisor.config.steering
+            self.outputs.publish_tick(record, timing, account, steering, self.frame.name)
             self.report_change(record)
 
     def report_change(self, record: TickRecord) -> None:

@@ -90,10 +90,11 @@ class SimulatorNode(BaseNode):
         self.steering = self.create_publisher(JointState, ros.STEERING_STATE, ros.RELIABLE)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.configurations.publish(String(data=simulator_text(self.config)))
+        self.angle_of = partial(ros.steering_angle, steering=self.config.vehicle.steering)
         if self.lock_step:
             self.clock = self.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
         self.peers = [
-            self._listen(JointState, ros.STEERING_COMMAND, ros.steering_angle),
+            self._listen(JointState, ros.STEERING_COMMAND, self.angle_of),
             self._listen(TwistStamped, ros.TARGET_SPEED, ros.target_speed),
         ]
 
@@ -199,9 +200,10 @@ class SimulatorNode(BaseNode):
     def publish_state(self) -> None:
         """Measure, and publish time, wind, steering angle and state."""
         stamp_ns, car = self.stamp_ns, self.simulation.car
+        steering = ros.joint_message(stamp_ns, car.steering, 0.0, self.config.vehicle.steering)
         self.state = [
             (self.wind, ros.wind_message(stamp_ns, self.simulation.wind())),
-            (self.steering, ros.joint_message(stamp_ns, car.steering, 0.0)),
+            (self.steering, steering),
             (self.odom, ros.odometry_message(car.measure(stamp_ns))),
         ]
         if self.lock_step:

@@ -15,6 +15,7 @@ from ampc_msgs_config.parameters import ChassisParameters, ControllerSettings
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.mpc.active_set import active_set, active_set_numbers
@@ -35,7 +36,7 @@ from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.parameters import load_vehicle_file
 from tests.filled import solve_in, solver_memory
 
-CHASSIS = load(ChassisParameters, find("vehicles", "paper"), "chassis")
+CHASSIS = load_section(ChassisParameters, find("vehicles", "paper"), "chassis")
 VEHICLE: BicycleParameters = astuple(CHASSIS)
 SETTINGS = load(ControllerSettings, find("controllers", "table3"))
 CAR = load_vehicle_file(find("vehicles", "paper"))

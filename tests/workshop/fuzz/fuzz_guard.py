@@ -10,6 +10,7 @@ import numpy as np
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits, SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.guard import LONGEST_PAUSE, Guard
 
@@ -49,8 +50,8 @@ class ChecksAndGuard:
             limits: Shipped limits of the guard, or file.
         """
         vehicle = find("vehicles", "ordinary")
-        self.chassis = load(ChassisParameters, vehicle, "chassis")
-        self.max_angle = load(SteeringParameters, vehicle, "steering").max_angle
+        self.chassis = load_section(ChassisParameters, vehicle, "chassis")
+        self.max_angle = load_section(SteeringParameters, vehicle, "steering").max_angle
         self.filter = StateFilter()
         self.guard = Guard(load(GuardLimits, find("guards", limits)), self.chassis, PERIOD)
         self.request, self.measured, self.last_ns = request, math.nan, 0

@@ -27,11 +27,14 @@ from ampc_msgs_config.validation import (
     tag_of,
     unwrap,
 )
+from ampc_msgs_config.vehicle_file import ESTIMATED, SAME_AS, SPREAD
 from ampc_ros.mpc.gain_table import GainTableFile
 from launch_scripts.faults.schedule import FaultSchedule
 from launch_scripts.reporting.drive import Thresholds
 from sim_vehicle.parameters import MeasurementNoise, Vehicle
 
+SPREADS = number_bounds(SPREAD)
+"""Bounds of the spread of an estimated value."""
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = Path("ampc_msgs_config/ampc_msgs_config/config")
 SCHEMAS = CONFIG / "schemas"
@@ -85,6 +88,26 @@ class Row(NamedTuple):
     number_bounds: str
     default: str
     meaning: str
+
+
+INHERITS = "Shipped vehicle, or file relative to this one, whose values hold where none are stated."
+ESTIMATES = (
+    "Spread (95 %) of the estimated value of that key: relative, such as 0.3, but in s and rad for "
+    "steering.delay, steering.lag and steering.offset."
+)
+VEHICLE_MARKS = {
+    SAME_AS: {"description": INHERITS, "type": "string", "minLength": 1},
+    ESTIMATED: {
+        "description": ESTIMATES,
+        "type": "object",
+        "additionalProperties": {"type": "number", "minimum": SPREADS[0], "maximum": SPREADS[1]},
+    },
+}
+"""Keys of a vehicle file that are no sections, as JSON Schema."""
+MARK_ROWS = (
+    Row(SAME_AS, "text", "", "", "", INHERITS),
+    Row(f"{ESTIMATED}.<section.key>", "number", "", "[{:g}, {:g}]".format(*SPREADS), "", ESTIMATES),
+)
 
 
 def parameter_rows(cls: type, key: str = "") -> list[Row]:
@@ -145,8 +168,18 @@ def _first_line(cls: type) -> str:
 
 
 def schema_text(kind: Kind) -> str:
-    """Return the JSON Schema of one kind of file."""
-    return json.dumps(schema(kind.content, f"{kind.name} file"), indent=1, allow_nan=False) + "\n"
+    """Return the JSON Schema of one kind of file.
+
+    Note:
+        Nothing is required in a vehicle file: it may inherit, and each program requires only the
+        sections that it uses.
+    """
+    content = schema(kind.content, f"{kind.name} file")
+    if kind.content is Vehicle:
+        for part in content["$defs"].values():
+            part.pop("required", None)
+        content["$defs"]["Vehicle"]["properties"].update(VEHICLE_MARKS)
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def tables() -> str:
@@ -158,7 +191,7 @@ def _table(kind: Kind) -> Iterable[str]:
     first = (kind.content.__doc__ or "").partition("\n")[0]
     yield f"## {kind.name}\n\n{first} Shipped files: [{kind.files.name}](../../{kind.files}).\n"
     yield "| key | type | unit | bounds | default | meaning |\n|---|---|---|---|---|---|"
-    for row in parameter_rows(kind.content):
+    for row in (*(MARK_ROWS if kind.content is Vehicle else ()), *parameter_rows(kind.content)):
         key = f"`{row.key}`"
         default = f"`{row.default}`" if row.default not in ("", "required") else row.default
         cells = (key, row.type, row.unit, row.number_bounds, default, row.meaning)
