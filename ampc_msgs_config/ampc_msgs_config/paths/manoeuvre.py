@@ -76,7 +76,9 @@ def identification_points(wheelbase: float, max_angle: float) -> Array:
     x, y = (np.cumsum(speed * f(heading)) * STEP for f in (np.cos, np.sin))
     way = np.cumsum(speed) * STEP
     at = np.interp(np.arange(way[0], way[-1], SPACING * size), way, time)
-    return np.column_stack([np.interp(at, time, each) for each in (x - x.min(), y - y.min(), speed)])
+    return np.column_stack(
+        [np.interp(at, time, each) for each in (x - x.min(), y - y.min(), speed)]
+    )
 
 
 def programme() -> tuple[Array, Array, Array]:

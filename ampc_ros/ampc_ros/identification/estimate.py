@@ -34,18 +34,35 @@ NAMES = (
     "scrub",
 )
 """Parameters; logarithms are relative to the start values."""
-DELAY, LAG, RATE, RATIO, OFFSET, C_F, C_R, I_Z, X_P, RELAXATION, CURVATURE, LATENCY, TWIST, SCRUB = range(
-    len(NAMES)
-)
+(
+    DELAY,
+    LAG,
+    RATE,
+    RATIO,
+    OFFSET,
+    C_F,
+    C_R,
+    I_Z,
+    X_P,
+    RELAXATION,
+    CURVATURE,
+    LATENCY,
+    TWIST,
+    SCRUB,
+) = range(len(NAMES))
 PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.4])
 """Standard deviations of weak priors about the start values: they hold what a drive leaves open.
 Only the last five, which no vehicle file contains, have ones that matter."""
-STEPS = np.array([2e-3, 2e-3, 1e-2, 1e-3, 1e-4, 3e-3, 3e-3, 3e-3, 1e-3, 3e-2, 3e-2, 2e-3, 1e-3, 3e-2])
+STEPS = np.array(
+    [2e-3, 2e-3, 1e-2, 1e-3, 1e-4, 3e-3, 3e-3, 3e-3, 1e-3, 3e-2, 3e-2, 2e-3, 1e-3, 3e-2]
+)
 """Steps of the finite differences."""
-LOWER = np.array([0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, -0.1, -0.3, -1.5])
+LOWER = np.array([0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, 0.0, -0.3, -1.5])
 UPPER = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
 OUTLIER = 6.0
 """Residual in robust standard deviations beyond which a row is left out."""
+MOST_OUTLIERS = 0.02
+"""Largest share of outliers."""
 FLOOR = 0.003
 """Least standard deviation of an output as a share of its RMS: errors of the model remain."""
 GAIN_ERROR, GEOMETRY_ERROR = 0.0025, 0.2
@@ -65,8 +82,10 @@ RELAXATION_SHARE = 0.12
 """Relaxation length of a usual tyre, as a share of the wheelbase."""
 MEAN_SCRUB = 0.5
 """Centre of the prior of 1 - A, for the Ackermann share A of the steering."""
-RATE_SHARES = (0.85, 0.65, 0.45, 0.3)
-"""Rate limits that are tried, as shares of the largest rate without a limit."""
+RATE_SHARES = (1.0, 0.75, 0.55, 0.4)
+"""Rate limits that are tried, as shares of the largest mean rate over RATE_STEPS without one."""
+RATE_STEPS = 10
+"""Steps of the grid over which the largest rate of a drive is taken."""
 RATE_EVIDENCE = 30.0
 """Decrease of the sum of squares from which a rate limit is accepted."""
 
@@ -119,7 +138,7 @@ class Fit(NamedTuple):
     free: Array
     """(14,) whether a parameter was estimated."""
     largest_rate: float
-    """Largest rate of the simulated road-wheel angle [rad/s]."""
+    """Largest mean rate of the simulated road-wheel angle over 0.1 s [rad/s]."""
 
 
 def actuator_of(theta: Array, start: Start) -> Actuator:
@@ -156,7 +175,12 @@ def predict(theta: Array, recording: Recording, segment: Segment, start: Start) 
     grid = segment.grid
     angles = actuator_angles(recording.command_time, recording.command, grid, actuator)
     motion = car_motion(
-        angles, segment.speed, segment.acceleration, segment.restart, GRID_STEP, car_of(theta, start)
+        angles,
+        segment.speed,
+        segment.acceleration,
+        segment.restart,
+        GRID_STEP,
+        car_of(theta, start),
     )
     seen = recording.time[segment.rows] - theta[LATENCY]
     yaw_rate = np.interp(seen, grid, motion[:, 1])
@@ -297,16 +321,18 @@ def estimate(
     theta, cost = problem.solve(theta)
     log(f"first estimate: delay {theta[DELAY]:.3f} s, lag {theta[LAG]:.3f} s")
     for _ in range(2):
-        problem, sigma = reweighted(problem, theta, values)
-        theta, cost = problem.solve(theta, 15)
-    # Rate limit
-    problem, theta, cost, largest = with_rate_limit(problem, theta, cost)
+        problem, sigma = reweighted(problem, theta, values, most_outliers=0.0)
+        theta, cost = problem.solve(theta, 60)
+    # Rate limit, then outliers
+    problem, theta, cost = with_rate_limit(problem, theta, cost)
     if RATE in problem.free:
         log(f"rate limit of the steering reached: {math.exp(theta[RATE]):.3g} rad/s")
-        problem, sigma = reweighted(problem, theta, values)
-        theta, cost = problem.solve(theta, 15)
+    for _ in range(2):
+        problem, sigma = reweighted(problem, theta, values, MOST_OUTLIERS)
+        theta, cost = problem.solve(theta, 60)
     covariance, classical = covariances(problem, theta)
     chosen = np.isin(np.arange(len(NAMES)), problem.free)
+    largest = largest_rate(theta, problem, RATE_STEPS)
     return Fit(theta, covariance, classical, cost, sigma, chosen, largest)
 
 
@@ -345,8 +371,14 @@ def weighted(
     return Problem(recording, segments, start, weights, free, theta.copy(), centre)
 
 
-def reweighted(problem: Problem, theta: Array, values: Outputs) -> tuple[Problem, Outputs]:
-    """Return the problem with weights from the residuals, and the deviations of the outputs."""
+def reweighted(
+    problem: Problem, theta: Array, values: Outputs, most_outliers: float
+) -> tuple[Problem, Outputs]:
+    """Return the problem with weights from the residuals, and the deviations of the outputs.
+
+    Rows far from the model are left out, but no more than a share of them: more would be an error
+    of the model.
+    """
     predicted = joined(
         [predict(theta, problem.recording, s, problem.start) for s in problem.segments]
     )
@@ -355,48 +387,45 @@ def reweighted(problem: Problem, theta: Array, values: Outputs) -> tuple[Problem
         residual = y - y_hat
         spread = 1.4826 * float(np.median(np.abs(residual))) if len(y) else 1.0
         is_outlier = np.abs(residual) > OUTLIER * max(spread, FLOOR * rms(y))
+        if is_outlier.sum() > most_outliers * len(y):
+            is_outlier[:] = False
         deviation = math.hypot(rms(residual[~is_outlier]), FLOOR * rms(y))
         weights.append(np.where(is_outlier, 0.0, 1.0 / deviation))
         sigma.append(np.array(deviation))
     return problem._replace(weights=Outputs(*weights), fixed=theta.copy()), Outputs(*sigma)
 
 
-def with_rate_limit(
-    problem: Problem, theta: Array, cost: float
-) -> tuple[Problem, Array, float, float]:
-    """Return problem, parameters and cost with a rate limit, where the drive shows one.
-
-    Also the largest rate of the road-wheel angle without a limit [rad/s].
-    """
-    largest = largest_rate(theta, problem)
-    actuator = np.array([DELAY, LAG])
+def with_rate_limit(problem: Problem, theta: Array, cost: float) -> tuple[Problem, Array, float]:
+    """Return problem, parameters and cost with a rate limit, where the drive shows one."""
+    largest, actuator = largest_rate(theta, problem, RATE_STEPS), np.array([DELAY, LAG])
+    free = np.array(sorted({*problem.free.tolist(), RATE}))
     trials = []
     for share in RATE_SHARES:
         limited = theta.copy()
         limited[RATE] = math.log(share * largest)
-        trials.append(problem._replace(free=actuator, fixed=limited).solve(limited, 6))
-    best = min(trials, key=lambda each: each[1])[0]
-    free = np.array(sorted({*problem.free.tolist(), RATE}))
-    centre = problem.centre.copy()
-    centre[RATE] = best[RATE]
-    trial = problem._replace(free=free, centre=centre, fixed=best)
-    found, new_cost = trial.solve(best, 15)
+        limited = problem._replace(free=actuator, fixed=limited).solve(limited, 6)[0]
+        centre = problem.centre.copy()
+        centre[RATE] = limited[RATE]
+        trial = problem._replace(free=free, centre=centre, fixed=limited)
+        trials.append((trial, *trial.solve(limited, 12)))
+    trial, found, new_cost = min(trials, key=lambda each: each[2])
+    found, new_cost = trial.solve(found, 40)
     is_reached = math.exp(found[RATE]) < 0.95 * largest_rate(
         np.where(np.arange(len(found)) == RATE, UPPER[RATE], found), problem
     )
     if is_reached and 2 * (cost - new_cost) > RATE_EVIDENCE:
-        return trial, found, new_cost, largest
-    return problem, theta, cost, largest
+        return trial, found, new_cost
+    return problem, theta, cost
 
 
-def largest_rate(theta: Array, problem: Problem) -> float:
-    """Return the largest rate of the simulated road-wheel angle [rad/s]."""
+def largest_rate(theta: Array, problem: Problem, steps: int = 1) -> float:
+    """Return the largest mean rate of the road-wheel angle over steps of the grid [rad/s]."""
     actuator, data = actuator_of(theta, problem.start), problem.recording
-    rates = [
-        np.abs(np.diff(actuator_angles(data.command_time, data.command, s.grid, actuator))).max()
-        for s in problem.segments
-    ]
-    return max(float(max(rates)) / GRID_STEP, 1e-3)
+    changes = []
+    for segment in problem.segments:
+        angles = actuator_angles(data.command_time, data.command, segment.grid, actuator)
+        changes.append(float(np.abs(angles[steps:] - angles[:-steps]).max()))
+    return max(max(changes) / (steps * GRID_STEP), 1e-3)
 
 
 def covariances(problem: Problem, theta: Array) -> tuple[Array, Array]:

@@ -1,10 +1,11 @@
-"""Drives of cars whose parameters are not known to the controller, as recordings for identification.
+"""Drives of cars that the controller does not know, recorded for the identification.
 
 The true car, its steering and the measured point are drawn at random. The start vehicle is wrong as
 a template from a data sheet is, and the controller drives with it.
 """
 
 import math
+import tempfile
 from dataclasses import astuple, replace
 from functools import cache
 from pathlib import Path
@@ -14,13 +15,12 @@ import numpy as np
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.frames import at_distance
-from ampc_msgs_config.metrics import errors
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.paths.manoeuvre import write_manoeuvre
+from ampc_msgs_config.paths.path import Progress
 from ampc_msgs_config.paths.path_file import from_csv
-from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner
-from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.identification.estimate import Start
@@ -40,8 +40,8 @@ STEERING_NOISE = math.radians(0.05)
 """White noise of the measured steering, at the road wheel [rad]."""
 FULL_SIZE = 2.7
 """Wheelbase from which on noise x1 is used as it is [m]."""
-SETTINGS = {10: ("table3", "preview"), 50: ("50hz", "preview_50hz")}
-"""Settings and gain table by rate of the controller [Hz]."""
+SETTINGS = {"pure_pursuit": ("identification", ""), "preview": ("table3", "preview")}
+"""Settings and gain table by controller."""
 
 
 class KnownCar(NamedTuple):
@@ -60,16 +60,26 @@ class KnownCar(NamedTuple):
     start_ratio: float
 
 
+class Assumed(NamedTuple):
+    """What the controller assumes of a car."""
+
+    chassis: ChassisParameters
+    steering: SteeringParameters
+    """With ratio and offset."""
+    x_P: float
+    """[m]"""
+
+
 class Driven(NamedTuple):
-    """One drive of the manoeuvre."""
+    """One drive."""
 
     recording: Recording
     lateral_acceleration: float
     """Largest true v r [m/s^2]."""
     area: tuple[float, float]
     """Extent of the true positions in x and y [m]."""
-    error: float
-    """Largest distance of the rear axle from the path [m]."""
+    rms: float
+    """RMS distance of the centre of gravity from the path [m]."""
 
 
 def vehicle_of(name: str) -> Vehicle:
@@ -101,7 +111,9 @@ def random_car(name: str, rng: np.random.Generator) -> KnownCar:
         rear_cornering_stiffness=c.rear_cornering_stiffness * rng.uniform(0.7, 1.3),
         yaw_inertia=c.yaw_inertia * rng.uniform(0.8, 1.2),
     )
-    steering = SteeringParameters(max_angle=vehicle.steering.max_angle, max_rate=10.0)
+    steering = SteeringParameters(
+        max_angle=vehicle.steering.max_angle, max_rate=10.0, ratio=nominal
+    )
     return KnownCar(
         name,
         true,
@@ -132,8 +144,6 @@ def start_of(car: KnownCar) -> Start:
 @cache
 def manoeuvre_of(wheelbase: float, max_angle: float) -> Scenario:
     """Return the scenario of the manoeuvre, through its file."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "identification.csv"
         write_manoeuvre(file, wheelbase, max_angle)
@@ -155,62 +165,59 @@ def drive_manoeuvre(
     car: KnownCar,
     rng: np.random.Generator,
     *,
-    hz: int = 10,
+    controller: str = "pure_pursuit",
     noise: MeasurementNoise | None = None,
     with_steering: bool = True,
     road: Scenario | None = None,
-    assumed: tuple[ChassisParameters, SteeringParameters, float, float, float] | None = None,
+    assumed: Assumed | None = None,
 ) -> Driven:
-    """Drive the manoeuvre in closed loop.
+    """Drive the manoeuvre in closed loop at 10 Hz, with odometry at 50 Hz.
 
     Args:
         car: The car.
         rng: Random numbers of the noise.
-        hz: Rate of the controller [Hz].
+        controller: One of SETTINGS.
         noise: Noise of the odometry; None: x1.
         with_steering: Whether the steering is measured.
         road: Road instead of the manoeuvre.
-        assumed: Chassis, steering, ratio, offset and measured point that the controller assumes;
-            None: those of the start vehicle.
+        assumed: What the controller assumes; None: the start vehicle.
     """
+    # Car and controller
     c = car.vehicle.chassis
     noise = noise_of(c.wheelbase) if noise is None else noise
     scenario = road or manoeuvre_of(c.wheelbase, car.vehicle.steering.max_angle)
-    chassis, steering, ratio, offset, x_P = assumed or (
-        car.start.chassis,
-        car.start.steering,
-        car.start_ratio,
-        0.0,
-        0.0,
-    )
-    settings, table = SETTINGS[hz]
-    import os
-    name=os.environ.get("CTRL","preview")
-    choices = Choices(name, "ordinary", settings, table if name=="preview" else "", guard="track", static_path=True)
+    assumed = assumed or Assumed(car.start.chassis, car.start.steering, 0.0)
+    settings, table = SETTINGS[controller]
+    choices = Choices(controller, "ordinary", settings, table, guard="track", static_path=True)
     config = configuration(choices)._replace(
-        chassis=chassis, steering=steering, base_link_to_cg=chassis.cg_to_rear_axle - x_P
+        chassis=assumed.chassis,
+        steering=assumed.steering,
+        base_link_to_cg=assumed.chassis.cg_to_rear_axle - assumed.x_P,
     )
-    size = min(c.wheelbase / FULL_SIZE, 1.0)
-    config = config._replace(settings=replace(config.settings, look_ahead_time=float(os.environ.get("LAT",".8"))*1,min_look_ahead=max(.1,float(os.environ.get("LAM","4"))*size)))
-    controller, planner = build_controller(config), SpeedPlanner(scenario)
-    plant = plant_of(car, scenario)
-    deviations = Deviations(*astuple(noise))
+    steer, planner, plant = (
+        build_controller(config),
+        SpeedPlanner(scenario),
+        plant_of(car, scenario),
+    )
+    deviations, every = Deviations(*astuple(noise)), round(steer.period * 1e9 / PERIOD_NS)
+    interface = replace(car.vehicle.steering, ratio=car.ratio, offset=car.offset)
+    # Drive
     rows, commands, angles, states = [], [], [], []
-    every = round(1e9 / hz / PERIOD_NS)
     command = target = 0.0
     while not plant.finished:
         stamp_ns = NANOSECONDS + plant.elapsed_ns
         exact = at_distance(plant.car.measure(stamp_ns), car.x_P)
         state = noisy(exact, deviations, rng.standard_normal(6))
         if len(rows) % every == 0:
-            angle = controller.step(state, scenario.path).steering
-            command, target = (angle - offset) * ratio, planner.target_speed(state)
+            command = assumed.steering.position(steer.step(state, scenario.path).steering)
+            target = planner.target_speed(state)
             commands.append((stamp_ns / NANOSECONDS, command))
-        true_angle = steering_of(plant) + STEERING_NOISE * rng.standard_normal()
-        angles.append((stamp_ns / NANOSECONDS, (true_angle - car.offset) * car.ratio))
+        measured_angle = steering_of(plant) + STEERING_NOISE * rng.standard_normal()
+        angles.append((stamp_ns / NANOSECONDS, interface.position(measured_angle)))
         rows.append((stamp_ns / NANOSECONDS, *state[1:]))
         states.append(exact)
-        plant.advance(command / car.ratio + car.offset, target, PERIOD_NS)
+        plant.advance(interface.angle(command), target, PERIOD_NS)
+    # Record
     measured, sent, seen = (np.array(each).T for each in (rows, commands, angles))
     if not with_steering:
         seen = seen[:, :0]
@@ -235,14 +242,10 @@ def steering_of(plant: Simulation | FastSimulation) -> float:
 def figures(
     states: list[VehicleState], scenario: Scenario, car: KnownCar
 ) -> tuple[float, tuple[float, float], float]:
-    """Return largest lateral acceleration, area and largest distance from the path."""
-    values = np.array([state[1:] for state in states])
-    path = make_path(scenario.points)
-    distance = np.hypot(values[:, :1] - path.x[None, ::5], values[:, 1:2] - path.y[None, ::5])
+    """Return largest lateral acceleration, area, and RMS distance of the CG from the path."""
+    values, progress = np.array([state[1:] for state in states]), Progress(scenario.path)
+    to_cg = car.vehicle.chassis.cg_to_rear_axle - car.x_P
+    errors = np.array([progress.errors(at_distance(state, to_cg))[0] for state in states])
     area = (float(np.ptp(values[:, 0])), float(np.ptp(values[:, 1])))
-    return float(np.abs(values[:, 3] * values[:, 5]).max()), area, float(distance.min(1).max())
-
-
-def understeer(chassis: ChassisParameters) -> float:
-    """Return the linear understeer gradient [rad s^2/m]."""
-    return chassis.understeer_gradient
+    lateral = np.abs(values[:, 3] * values[:, 5]).max()
+    return float(lateral), area, float(np.sqrt(np.mean(errors**2)))
