@@ -20,6 +20,11 @@ SPEED_CHANGE = 1.0
 """Mean acceleration from part to part, at full size [m/s^2]."""
 SHARE_OF_ANGLE = 0.85
 """Share of the largest steering angle that the tightest bend may need."""
+LEAST_SIZE = 0.2
+"""Size for the smallest cars; smaller, its bends would be shorter than the look-ahead of a
+controller that is stable with 0.4 s of delay and lag."""
+TURN_RATE = 0.45
+"""Largest yaw rate of the bends, for the same reason [rad/s]."""
 SPACING = 0.4
 """Distance of the points at full size [m]."""
 
@@ -43,12 +48,12 @@ class Part(NamedTuple):
 
 PARTS = (
     Part(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
-    Part(7.0, 9.8, -1.78, 0.7, 0.5, 1.6),
-    Part(11.1, 5.4, -2.09, 0.5, 0.4, 1.2),
-    Part(11.1, 7.2, 2.09, 0.5, 0.3, 1.0),
-    Part(6.1, 9.8, 1.87, 0.7, 0.3, 1.3),
-    Part(9.6, 5.4, 1.8, 0.5, 0.3, 0.9),
-    Part(5.9, 9.8, 1.1, 0.7, 0.25, 0.8),
+    Part(7.0, 9.8, -1.78, 0.5, 0.5, 1.6),
+    Part(11.1, 5.4, -2.09, 0.4, 0.4, 1.2),
+    Part(11.1, 7.2, 2.09, 0.4, 0.3, 1.0),
+    Part(6.1, 9.8, 1.87, 0.5, 0.3, 1.3),
+    Part(9.6, 5.4, 1.8, 0.4, 0.3, 0.9),
+    Part(5.9, 9.8, 1.1, 0.5, 0.25, 0.8),
 )
 """60 s. Durations and bends were found by a search for the smallest square. The first part has a
 steering rate of 0.8 rad/s at full size."""
@@ -65,14 +70,15 @@ def identification_points(wheelbase: float, max_angle: float) -> Array:
         wheelbase: [m].
         max_angle: Largest road-wheel angle [rad].
     """
-    time, speed, lateral = programme()
+    time, speed, bend, slalom = programme()
     # Size: that of the car, but no bend tighter than the car can drive
-    tightest = float(np.max(np.abs(lateral) / speed**2))
+    tightest = float(np.max(np.abs(bend + slalom) / speed**2))
     least = tightest * wheelbase / math.tan(SHARE_OF_ANGLE * max_angle)
-    size = max(min(wheelbase / FULL_SIZE, 1.0), least)
+    size = max(min(wheelbase / FULL_SIZE, 1.0), LEAST_SIZE, least)
     # Integrate the heading, then the position
     speed = math.sqrt(size) * speed
-    heading = HEADING + np.cumsum(lateral / speed) * STEP
+    turn = np.clip(bend / speed, -TURN_RATE, TURN_RATE) + slalom / speed
+    heading = HEADING + np.cumsum(turn) * STEP
     x, y = (np.cumsum(speed * f(heading)) * STEP for f in (np.cos, np.sin))
     way = np.cumsum(speed) * STEP
     at = np.interp(np.arange(way[0], way[-1], SPACING * size), way, time)
@@ -81,8 +87,11 @@ def identification_points(wheelbase: float, max_angle: float) -> Array:
     )
 
 
-def programme() -> tuple[Array, Array, Array]:
-    """Return time [s], speed [m/s] and lateral acceleration [m/s^2] at full size (n,) each."""
+def programme() -> tuple[Array, Array, Array, Array]:
+    """Return time [s], speed [m/s], lateral acceleration of bends, of slalom [m/s^2], (n,) each.
+
+    They hold for the full size.
+    """
     time = np.arange(0.0, sum(part.duration for part in PARTS), STEP)
     speed, bend, slalom, frequency = (np.full(len(time), value) for value in PARTS[0][1:5])
     begin, before = 0.0, PARTS[0]
@@ -97,7 +106,7 @@ def programme() -> tuple[Array, Array, Array]:
         frequency[inside] = part.slow + (part.fast - part.slow) * share
         begin, before = begin + part.duration, part
     phase = math.tau * np.cumsum(frequency) * STEP
-    return time, speed, bend + slalom * np.sin(phase)
+    return time, speed, bend, slalom * np.sin(phase)
 
 
 def write_manoeuvre(file: File, wheelbase: float, max_angle: float) -> None:

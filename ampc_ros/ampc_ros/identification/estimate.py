@@ -281,10 +281,10 @@ class Problem(NamedTuple):
             start,
             jac=lambda p: self.jacobian(p, self.with_prior),
             bounds=(low, high),
-            x_scale=1.0 / np.maximum(1.0 / PRIOR[self.free], 1.0 / (30 * STEPS[self.free])),
+            x_scale="jac",
             max_nfev=evaluations,
-            ftol=1e-6,
-            xtol=1e-6,
+            ftol=1e-8,
+            xtol=1e-8,
         )
         return self.full(result.x), float(result.cost)
 

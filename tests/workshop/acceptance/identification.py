@@ -200,7 +200,7 @@ def coverage(cells: Sequence[tuple[Trial, str]]) -> float:
 
 
 def summary_of(trials: Sequence[Trial]) -> tuple[list[list[str]], bool]:
-    """Return rows on coverage, tracking, manoeuvre and CPU time; and whether the targets are met."""
+    """Return rows on coverage, tracking, manoeuvre and time; and whether the targets are met."""
     rows, met = [], True
     for with_steering in (True, False):
         kind = f"{'with' if with_steering else 'without'} steering_state"
