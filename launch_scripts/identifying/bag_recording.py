@@ -11,7 +11,7 @@ from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, Array
 from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.identification.estimate import Start
-from ampc_ros.identification.recording import Recording
+from ampc_ros.identification.recording import Recording, recording_of
 from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 
@@ -120,17 +120,11 @@ def read_recording(
     command = columns.values[topics.STEERING_COMMAND]
     steering = columns.values.get(topics.STEERING_STATE, np.empty((0, 2)))
 
-    def position(angles: Array) -> Array:
-        return np.asarray(interface.ratio * (angles - interface.offset))
+    def position(rows: Array) -> Array:
+        return np.column_stack((rows[:, 0], interface.ratio * (rows[:, 1] - interface.offset)))
 
-    recording = Recording(
-        *states.T[:7],
-        command[:, 0],
-        position(command[:, 1]),
-        steering[:, 0],
-        position(steering[:, 1]),
-        ages(bag, f"{columns.namespace}/{topics.ODOM}"),
-    )
+    age = ages(bag, f"{columns.namespace}/{topics.ODOM}")
+    recording = recording_of(states[:, :7], position(command), position(steering), age)
     return recording, vehicle, columns.notes
 
 

@@ -92,8 +92,10 @@ def programme() -> tuple[Array, Array, Array, Array]:
 
     They hold for the full size.
     """
-    time = np.arange(0.0, sum(part.duration for part in PARTS), STEP)
-    speed, bend, slalom, frequency = (np.full(len(time), value) for value in PARTS[0][1:5])
+    duration = sum(part.duration for part in PARTS)
+    time: Array = np.arange(0.0, duration, STEP, dtype=np.float64)
+    values: list[Array] = [np.full(len(time), value) for value in PARTS[0][1:5]]
+    speed, bend, slalom, frequency = values
     begin, before = 0.0, PARTS[0]
     for part in PARTS:
         rise = np.asarray(q((time - begin) / RAMP + 0.5))
@@ -106,7 +108,7 @@ def programme() -> tuple[Array, Array, Array, Array]:
         frequency[inside] = part.slow + (part.fast - part.slow) * share
         begin, before = begin + part.duration, part
     phase = math.tau * np.cumsum(frequency) * STEP
-    return time, speed, bend, slalom * np.sin(phase)
+    return time, speed, bend, np.asarray(slalom * np.sin(phase))
 
 
 def write_manoeuvre(file: File, wheelbase: float, max_angle: float) -> None:

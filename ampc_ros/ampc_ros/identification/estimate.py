@@ -6,16 +6,22 @@ model is not exact).
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import optimize
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.types import Array
 from ampc_ros.identification.model import Actuator, Car, actuator_angles, car_motion
-from ampc_ros.identification.recording import GRID_STEP, Recording, Segment
+from ampc_ros.identification.recording import (
+    GRID_STEP,
+    Indices,
+    Mask,
+    Recording,
+    Segment,
+)
 
 NAMES = (
     "delay",
@@ -135,7 +141,7 @@ class Fit(NamedTuple):
     """Half the sum of squares of the weighted residuals."""
     sigma: Outputs
     """Standard deviation of each output, one number each."""
-    free: Array
+    free: Mask
     """(14,) whether a parameter was estimated."""
     largest_rate: float
     """Largest mean rate of the simulated road-wheel angle over 0.1 s [rad/s]."""
@@ -219,7 +225,7 @@ class Problem(NamedTuple):
     start: Start
     weights: Outputs
     """Inverse standard deviation of each value, 0 for an outlier."""
-    free: Array
+    free: Indices
     """Indices of the estimated parameters."""
     fixed: Array
     """(14,) values of the others."""
@@ -270,12 +276,13 @@ class Problem(NamedTuple):
                 step = -step
             moved[k] += step
             columns.append((function(moved) - at) / step)
-        return np.column_stack(columns)
+        return np.asarray(np.column_stack(columns))
 
     def solve(self, theta: Array, evaluations: int = 30) -> tuple[Array, float]:
         """Minimise from a starting point; return all parameters and the cost."""
         low, high = LOWER[self.free], UPPER[self.free]
         start = np.clip(theta[self.free], low + 1e-4, high - 1e-4)
+        least_squares: Any = optimize.least_squares  # mypy takes it for a module
         result = least_squares(
             self.with_prior,
             start,
@@ -303,7 +310,7 @@ def estimate(
         start: Vehicle to start from.
         log: Receives a line on each stage.
     """
-    theta = np.zeros(len(NAMES))
+    theta: Array = np.zeros(len(NAMES))
     theta[RATE] = UPPER[RATE]  # no limit
     theta[[DELAY, LAG]] = 0.1
     values = joined([measured(recording, s) for s in segments])
@@ -362,7 +369,7 @@ def weighted(
     start: Start,
     values: Outputs,
     sigma: Outputs,
-    free: Array,
+    free: Indices,
     theta: Array,
 ) -> Problem:
     """Return the problem with equal weights for all rows of an output."""
@@ -438,9 +445,8 @@ def covariances(problem: Problem, theta: Array) -> tuple[Array, Array]:
     P = np.diag(1.0 / PRIOR[problem.free] ** 2)
     times = joined([output_times(problem.recording, s) for s in problem.segments])
     place = np.floor(np.concatenate(times) / BIN).astype(np.int64)
-    bins, at = np.unique(place, return_inverse=True)
-    full = np.zeros((bins[-1] - bins[0] + 1 if len(bins) < 1e6 else len(bins), len(p)))
-    rows = (bins - bins[0])[at] if len(bins) < 1e6 else at
+    rows = np.unique(place, return_inverse=True)[1]
+    full = np.zeros((int(rows.max()) + 1, len(p)))
     np.add.at(full, rows, J * e[:, None])
     meat = full.T @ full
     for lag in range(1, min(BANDWIDTH, len(full) - 1) + 1):

@@ -28,6 +28,7 @@ WASHOUT = 1.0
 LONGEST_GAP = 0.35
 """Longest time between two states, or between a state and the last command before it [s]."""
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 
 
 class Recording(NamedTuple):
@@ -59,6 +60,20 @@ class Recording(NamedTuple):
     """(n,) arrival minus stamp of the states [s]; empty: not known."""
 
 
+def recording_of(states: Array, command: Array, steering: Array, age: Array) -> Recording:
+    """Return a recording of tables.
+
+    Args:
+        states: (n, 7) time and state of the odometry; see Recording.
+        command: (m, 2) time and command.
+        steering: (k, 2) time and measured steering.
+        age: (n,) arrival minus stamp [s]; empty: not known.
+    """
+    t, x, y, yaw, v_x, v_y, r = states.T
+    (sent, commanded), (seen, angle) = command.T, steering.T
+    return Recording(t, x, y, yaw, v_x, v_y, r, sent, commanded, seen, angle, age)
+
+
 class Segment(NamedTuple):
     """Contiguous part of a drive on a regular grid."""
 
@@ -70,9 +85,9 @@ class Segment(NamedTuple):
     """(g,) its derivative [m/s^2]."""
     restart: Array
     """(g,) yaw rate at the begin [rad/s], nan elsewhere."""
-    rows: NDArray[np.int64]
+    rows: Indices
     """States that are compared with the model."""
-    steering_rows: NDArray[np.int64]
+    steering_rows: Indices
     """Measurements of the steering that are compared with the model."""
 
 
@@ -96,10 +111,10 @@ def usable_rows(recording: Recording, friction: float) -> tuple[Mask, dict[str, 
         "slow, at a standstill or in reverse": ~(speed > SLOWEST),
         "lateral acceleration": lateral > min(MOST_ACCELERATION, 0.5 * friction * GRAVITY),
         "braking": braking > HARDEST_BRAKING,
-        "no command": (last < 0) | (silence > LONGEST_GAP),
-        "not finite": ~finite,
+        "no command": np.asarray((last < 0) | (silence > LONGEST_GAP)),
+        "not finite": np.asarray(~finite),
     }
-    left_out = np.zeros(len(t), dtype=bool)
+    left_out: Mask = np.zeros(len(t), dtype=bool)
     shares = {}
     for reason, rows in reasons.items():
         shares[reason] = float(np.mean(rows & ~left_out))
@@ -130,7 +145,7 @@ def segments_of(recording: Recording, friction: float) -> tuple[list[Segment], d
     return segments, shares
 
 
-def make_segment(recording: Recording, rows: NDArray[np.int64]) -> Segment:
+def make_segment(recording: Recording, rows: Indices) -> Segment:
     """Return the segment of contiguous rows."""
     t = recording.time[rows]
     grid = np.arange(t[0], t[-1] + GRID_STEP, GRID_STEP)

@@ -222,8 +222,8 @@ def quantities_of(fit: Fit, start: Start, excitation: Excitation) -> dict[str, Q
     theta, c = fit.theta, start.chassis
 
     def deviation(direction: Array) -> float:
-        variances = (direction @ each @ direction for each in (fit.covariance, fit.classical))
-        return math.sqrt(max(max(variances), 0.0))
+        both = (fit.covariance, fit.classical)
+        return math.sqrt(max(0.0, *(float(direction @ each @ direction) for each in both)))
 
     def unit(*parameters: int) -> Array:
         return np.isin(np.arange(len(theta)), parameters).astype(float)
@@ -326,7 +326,7 @@ def noise_of(recording: Recording, fit: Fit) -> Noise:
         math.sqrt(
             (high_frequency_noise(recording.x) ** 2 + high_frequency_noise(recording.y) ** 2) / 2
         ),
-        high_frequency_noise(np.unwrap(recording.yaw)),
+        high_frequency_noise(np.asarray(np.unwrap(recording.yaw), dtype=float)),
         min(high_frequency_noise(recording.yaw_rate), float(fit.sigma.yaw_rate)),
         min(high_frequency_noise(recording.v_y), float(fit.sigma.lateral_velocity)),
     )

@@ -24,7 +24,7 @@ from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.identification.estimate import Start
-from ampc_ros.identification.recording import Recording
+from ampc_ros.identification.recording import Recording, recording_of
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.measurement import Deviations, noisy
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
@@ -202,7 +202,10 @@ def drive_manoeuvre(
     deviations, every = Deviations(*astuple(noise)), round(steer.period * 1e9 / PERIOD_NS)
     interface = replace(car.vehicle.steering, ratio=car.ratio, offset=car.offset)
     # Drive
-    rows, commands, angles, states = [], [], [], []
+    rows: list[tuple[float, ...]] = []
+    commands: list[tuple[float, float]] = []
+    angles: list[tuple[float, float]] = []
+    states: list[VehicleState] = []
     command = target = 0.0
     while not plant.finished:
         stamp_ns = NANOSECONDS + plant.elapsed_ns
@@ -218,10 +221,8 @@ def drive_manoeuvre(
         states.append(exact)
         plant.advance(interface.angle(command), target, PERIOD_NS)
     # Record
-    measured, sent, seen = (np.array(each).T for each in (rows, commands, angles))
-    if not with_steering:
-        seen = seen[:, :0]
-    recording = Recording(*measured, *sent, *seen, np.array([]))
+    seen = np.array(angles) if with_steering else np.empty((0, 2))
+    recording = recording_of(np.array(rows), np.array(commands), seen, np.array([]))
     return Driven(recording, *figures(states, scenario, car))
 
 
