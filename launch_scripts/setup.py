@@ -24,6 +24,7 @@ setup(
     entry_points={
         "console_scripts": [
             "compare = launch_scripts.compare:main",
+            "identify = launch_scripts.identify:main",
             "injector = launch_scripts.nodes.injector_node:main",
             "recover = launch_scripts.recover:main",
             "replay = launch_scripts.replay:main",

@@ -49,11 +49,11 @@ def identification_page(
         ],
         notes=[*notes_of(result), *notes],
         changes=changes,
-        whole=svg(draw(result, -math.inf, math.inf)),
-        part=svg(draw(result, begin, begin + WINDOW)),
+        whole=svg(draw(result, vehicle, -math.inf, math.inf)),
+        part=svg(draw(result, vehicle, begin, begin + WINDOW)),
         begin=f"{begin:.0f}",
         end=f"{begin + WINDOW:.0f}",
-        residuals=residual_rows(result),
+        residuals=residual_rows(result, vehicle),
     )
 
 
@@ -62,11 +62,11 @@ def shown(value: object) -> object:
     return num(value, ".4g") if isinstance(value, float) and math.isfinite(value) else str(value)
 
 
-def residual_rows(result: Identification) -> list[list[str]]:
+def residual_rows(result: Identification, vehicle: StartVehicle) -> list[list[str]]:
     """Return RMS of the measured quantity and of the difference to the prediction."""
     rows = []
     for name, unit, factor in (
-        ("steering", "deg", degrees_of_steering(result)),
+        ("steering", "deg", degrees_of_steering(result, vehicle)),
         ("yaw_rate", "deg/s", math.degrees(1.0)),
         ("lateral_velocity", "m/s", 1.0),
     ):
@@ -78,9 +78,10 @@ def residual_rows(result: Identification) -> list[list[str]]:
     return rows
 
 
-def degrees_of_steering(result: Identification) -> float:
+def degrees_of_steering(result: Identification, vehicle: StartVehicle) -> float:
     """Return degrees of the road wheel per unit of the steering topic."""
-    return math.degrees(1.0) / result.quantities["ratio"].value
+    ratio = result.quantities["ratio"]
+    return math.degrees(1.0) / (ratio.value if ratio.is_identified else vehicle.steering.ratio)
 
 
 def busiest(result: Identification) -> float:
@@ -93,19 +94,20 @@ def busiest(result: Identification) -> float:
     return float(starts[int(np.argmax(total[last] - total[first]))])
 
 
-def draw(result: Identification, begin: float, end: float) -> Figure:
+def draw(result: Identification, vehicle: StartVehicle, begin: float, end: float) -> Figure:
     """Return steering, yaw rate and lateral velocity between two times, measured and predicted."""
     has_steering = len(result.measured.steering) > 0
     figure, axes = stack(HEIGHTS if has_steering else HEIGHTS[1:])
-    offset = math.degrees(result.quantities["offset"].value)
+    offset = result.quantities["offset"]
+    zero = offset.value if offset.is_identified else vehicle.steering.offset
     panels = [
         ("yaw_rate", "yaw rate\n[deg/s]", math.degrees(1.0), 0.0),
         ("lateral_velocity", "lateral velocity\n[m/s]", 1.0, 0.0),
     ]
     if has_steering:
-        panels.insert(
-            0, ("steering", "road-wheel\nangle [deg]", degrees_of_steering(result), offset)
-        )
+        factor = degrees_of_steering(result, vehicle)
+        label = "road-wheel\nangle [deg]"
+        panels.insert(0, ("steering", label, factor, math.degrees(zero)))
     for ax, (name, label, factor, shift) in zip(axes, panels, strict=True):
         time = getattr(result.time, name)
         inside = (time >= begin) & (time <= end)

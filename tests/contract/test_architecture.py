@@ -15,8 +15,18 @@ BELOW = {
 }
 """Packages that a package may import, itself included."""
 OURS = {*BELOW, "tests"}
-COMMANDS = {"start", "report", "replay", "recover", "compare", "tune", "reproduce", "bootstrap"}
-COMMANDS |= {"compile_all", "setup", "__init__"}
+COMMANDS = {
+    "start",
+    "report",
+    "replay",
+    "recover",
+    "compare",
+    "tune",
+    "reproduce",
+    "bootstrap",
+    "identify",
+}
+COMMANDS |= {"compile_all", "identify", "setup", "__init__"}
 """Files at the top of launch_scripts."""
 STUDY = {"launch_scripts.study", "launch_scripts.reproduce"}
 REPEATED = {"main", "parse_arguments", "read_options", "__all__"}

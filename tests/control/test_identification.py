@@ -222,7 +222,7 @@ def test_front_stiffness_follows_the_gradient_where_only_that_is_identified() ->
 
 def test_the_actuator_answers_a_step_with_its_delay_and_lag() -> None:
     time, command = np.array([0.0, 1.0]), np.array([0.0, 2.0])
-    grid = np.arange(0.0, 3.0, 0.01)
+    grid: Array = np.arange(0.0, 3.0, 0.01, dtype=np.float64)
     angles = actuator_angles(time, command, grid, Actuator(0.123, 0.2, math.inf, 0.5, 0.01))
     expected = 0.01 + 1.0 - np.exp(-np.maximum(grid - 1.123, 0.0) / 0.2)
     assert angles == pytest.approx(expected, abs=0.02)

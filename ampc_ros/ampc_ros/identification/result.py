@@ -41,7 +41,7 @@ ONE_DEGREE_PER_G = math.radians(1.0) / 9.81
 """Understeer gradient below which its error is judged absolutely [rad s^2/m]."""
 TURNS = "bends to both sides at 2 to 3 m/s^2 and at two speeds that differ by a factor of 1.5"
 SLALOM = "a slalom whose frequency rises to 1 Hz"
-MANOEUVRE = "; `start.py --manoeuvre identification` contains it"
+MANOEUVRE = "; contained in: start.py --manoeuvre identification"
 
 
 class Rule(NamedTuple):
@@ -72,7 +72,13 @@ RULES = {
 or to ONE_DEGREE_PER_G, whichever is larger, and to the wheelbase for `measured_point`."""
 SIGNED = ("offset", "understeer_gradient", "measured_point")
 """Quantities that may be negative."""
-TYRES = ("understeer_gradient", "front_cornering_stiffness", "rear_cornering_stiffness")
+TYRES = (
+    "understeer_gradient",
+    "front_cornering_stiffness",
+    "rear_cornering_stiffness",
+    "yaw_inertia",
+)
+"""Quantities that need LEAST_ACCELERATION."""
 
 
 class Quantity(NamedTuple):
@@ -289,12 +295,12 @@ def judge(name: str, half: float, rule: Rule, excitation: Excitation) -> tuple[s
         return f"{reason}{LEAST_ACCELERATION:g} m/s^2", rule.help + MANOEUVRE
     if half <= rule.limit:
         return "", ""
-    is_relative = name in (*TYRES, "max_rate", "ratio", "yaw_inertia")
+    is_relative = name in (*TYRES, "max_rate", "ratio")
     shown = f"{100 * half:.0f} %" if is_relative else f"{half:.2g}"
     limit = f"{100 * rule.limit:.0f} %" if is_relative else f"{rule.limit:.2g}"
     if name == "measured_point":
         shown, limit = f"{shown} wheelbases", f"{limit} wheelbases"
-    text = f"the 95 % interval is +-{shown}, wider than +-{limit}"
+    text = f"the 95 % interval is ±{shown}, wider than ±{limit}"
     low, high = excitation.speed
     text += f"; lateral acceleration up to {a_y:.2g} m/s^2, speeds from {low:.2g} to {high:.2g} m/s"
     return text, rule.help + MANOEUVRE
