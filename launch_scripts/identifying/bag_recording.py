@@ -11,7 +11,7 @@ from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, Array
 from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.identification.estimate import Start
-from ampc_ros.identification.recording import Recording, recording_of
+from ampc_ros.identification.recording import RecordedDrive, recording_of
 from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 
@@ -91,7 +91,7 @@ def vehicle_of_bag(columns: BagColumns) -> StartVehicle:
 
 def read_recording(
     bag: Path, namespace: str | None, vehicle: StartVehicle | None
-) -> tuple[Recording, StartVehicle, list[str]]:
+) -> tuple[RecordedDrive, StartVehicle, list[str]]:
     """Read a drive from a bag.
 
     Args:
@@ -100,7 +100,7 @@ def read_recording(
         vehicle: Start vehicle; None: that of the bag.
 
     Returns:
-        Recording in the units of the steering topics, start vehicle, and notes about the bag.
+        RecordedDrive in the units of the steering topics, start vehicle, and notes about the bag.
 
     Raises:
         ValueError: The bag cannot be read, contains no command, or no vehicle.

@@ -39,11 +39,11 @@ def vehicle_content(result: Identification, vehicle: StartVehicle) -> dict[str, 
             if not found[key].is_identified:
                 estimated[f"steering.{key}"] = found[key].half_width
     content = {**vehicle.sections, "chassis": chassis, "steering": steering}
-    content = {name: {k: rounded(v) for k, v in part.items()} for name, part in content.items()}
+    content = {name: {k: six_digits(v) for k, v in part.items()} for name, part in content.items()}
     return content | ({"estimated": estimated} if estimated else {})
 
 
-def rounded(value: Any) -> Any:
+def six_digits(value: Any) -> Any:
     """Return a number with six significant digits, anything else unchanged."""
     return float(f"{value:.6g}") if isinstance(value, float) else value
 

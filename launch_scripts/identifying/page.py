@@ -22,7 +22,7 @@ MOST_POINTS = 1500
 """Points of a line."""
 GAP = 0.5
 """Time between two rows from which a line is broken [s]."""
-WINDOW = 8.0
+ENLARGED = 8.0
 """Duration of the enlarged part [s]."""
 
 
@@ -33,7 +33,7 @@ def identification_page(
     content = vehicle_content(result, vehicle)
     before = {"chassis": asdict(vehicle.chassis), "steering": asdict(vehicle.steering)}
     changes = [
-        [f"{part}.{key}", *(shown(v) for v in (values[key], content[part].get(key, values[key])))]
+        [f"{part}.{key}", *(cell_of(v) for v in (values[key], content[part].get(key, values[key])))]
         for part, values in before.items()
         for key in values
     ]
@@ -50,14 +50,14 @@ def identification_page(
         notes=[*notes_of(result), *notes],
         changes=changes,
         whole=svg(draw(result, vehicle, -math.inf, math.inf)),
-        part=svg(draw(result, vehicle, begin, begin + WINDOW)),
+        part=svg(draw(result, vehicle, begin, begin + ENLARGED)),
         begin=f"{begin:.0f}",
-        end=f"{begin + WINDOW:.0f}",
+        end=f"{begin + ENLARGED:.0f}",
         residuals=residual_rows(result, vehicle),
     )
 
 
-def shown(value: object) -> object:
+def cell_of(value: object) -> object:
     """Return a number as a cell."""
     return num(value, ".4g") if isinstance(value, float) and math.isfinite(value) else str(value)
 
@@ -88,9 +88,9 @@ def busiest(result: Identification) -> float:
     """Return the begin of the part with the largest changes of the yaw rate [s]."""
     time, yaw = result.time.yaw_rate, result.measured.yaw_rate
     change = np.abs(np.diff(np.convolve(yaw, np.ones(5) / 5, "same"), append=yaw[-1]))
-    starts = np.arange(time[0], max(time[-1] - WINDOW, time[0]) + 1e-9, 1.0)
+    starts = np.arange(time[0], max(time[-1] - ENLARGED, time[0]) + 1e-9, 1.0)
     total = np.concatenate(([0.0], np.cumsum(change)))
-    first, last = (np.searchsorted(time, t) for t in (starts, starts + WINDOW))
+    first, last = (np.searchsorted(time, t) for t in (starts, starts + ENLARGED))
     return float(starts[int(np.argmax(total[last] - total[first]))])
 
 

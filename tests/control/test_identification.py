@@ -11,9 +11,9 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.manoeuvre import identification_points
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import Array
-from ampc_ros.identification.estimate import Start, car_of
-from ampc_ros.identification.model import Actuator, actuator_angles, car_motion
-from ampc_ros.identification.recording import Recording, recording_of, usable_rows
+from ampc_ros.identification.estimate import Start, car_parameters
+from ampc_ros.identification.model import ModelActuator, actuator_angles, car_motion
+from ampc_ros.identification.recording import RecordedDrive, recording_of, usable_rows
 from ampc_ros.identification.result import RULES, Identification, identified_chassis, identify
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from tests.workshop.acceptance.identification_drives import (
@@ -40,12 +40,12 @@ def known(name: str, seed: int, delay: float | None = None) -> KnownCar:
 
 
 @cache
-def recorded(name: str, seed: int, delay: float | None = None) -> Recording:
+def recorded(name: str, seed: int, delay: float | None = None) -> RecordedDrive:
     """Return the drive of a random car."""
     return drive_manoeuvre(known(name, seed, delay), np.random.default_rng(seed)).recording
 
 
-def without_steering(recording: Recording) -> Recording:
+def without_steering(recording: RecordedDrive) -> RecordedDrive:
     """Return the drive without measured steering."""
     return recording._replace(steering_time=np.array([]), steering=np.array([]))
 
@@ -127,7 +127,7 @@ def test_a_steering_without_delay_and_lag_is_found_to_have_none() -> None:
         assert result.quantities[name].interval[0] >= 0.0
 
 
-def straight(seconds: float = 30.0) -> Recording:
+def straight(seconds: float = 30.0) -> RecordedDrive:
     """Return a noisy drive straight ahead with a steering that hardly moves."""
     rng, t = np.random.default_rng(5), np.arange(0.0, seconds, 0.02)
     zero, noise = np.zeros(len(t)), rng.standard_normal((4, len(t)))
@@ -223,10 +223,10 @@ def test_front_stiffness_follows_the_gradient_where_only_that_is_identified() ->
 def test_the_actuator_answers_a_step_with_its_delay_and_lag() -> None:
     time, command = np.array([0.0, 1.0]), np.array([0.0, 2.0])
     grid: Array = np.arange(0.0, 3.0, 0.01, dtype=np.float64)
-    angles = actuator_angles(time, command, grid, Actuator(0.123, 0.2, math.inf, 0.5, 0.01))
+    angles = actuator_angles(time, command, grid, ModelActuator(0.123, 0.2, math.inf, 0.5, 0.01))
     expected = 0.01 + 1.0 - np.exp(-np.maximum(grid - 1.123, 0.0) / 0.2)
     assert angles == pytest.approx(expected, abs=0.02)
-    limited = actuator_angles(time, command, grid, Actuator(0.0, 0.0, 0.5, 0.5, 0.0))
+    limited = actuator_angles(time, command, grid, ModelActuator(0.0, 0.0, 0.5, 0.5, 0.0))
     assert np.diff(limited).max() == pytest.approx(0.005)
 
 
@@ -235,7 +235,7 @@ def test_at_small_angles_the_model_drives_the_steady_circle_of_the_linear_car(v:
     delta, n = 1e-3, 600
     flat = np.full(n, v)
     start = Start(CHASSIS, front_drive=0.0, rolling=0.0)
-    car = car_of(np.zeros(14), start)
+    car = car_parameters(np.zeros(14), start)
     motion = car_motion(np.full(n, delta), flat, 0.0 * flat, np.full(n, np.nan), 0.01, car)
     expected = v * delta / (CHASSIS.wheelbase + CHASSIS.understeer_gradient * v**2)
     assert motion[-1, 1] == pytest.approx(expected, rel=2e-3)

@@ -15,7 +15,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
-from ampc_ros.identification.recording import Recording
+from ampc_ros.identification.recording import RecordedDrive
 from launch_scripts import start
 from launch_scripts.identify import main
 from sim_vehicle.closed_loop import Simulation, drive
@@ -34,7 +34,7 @@ MOTORWAY = DATA / "real_drive" / "comma2k19_example1.csv"
 AGE_NS = 30_000_000
 
 
-def write_bag(bag: Path, recording: Recording) -> Path:
+def write_bag(bag: Path, recording: RecordedDrive) -> Path:
     """Write a recording as the bag of another controller; odometry arrives 30 ms late."""
     states = np.column_stack(recording[:7])
 
@@ -174,7 +174,7 @@ def test_the_motorway_drive_says_nothing_about_tyres(
     t, x, y, course, _, rate, speed, wheel = np.loadtxt(MOTORWAY, delimiter=",", skiprows=1).T
     wheel, zero = np.radians(wheel), np.zeros(len(t))
     nothing = np.array([])
-    recording = Recording(
+    recording = RecordedDrive(
         t + 1, x, y, course, speed, zero, rate, t + 1, wheel, t + 1, wheel, nothing
     )
     bag = write_bag(tmp_path / "bag", recording)

@@ -12,7 +12,7 @@ from ampc_msgs_config.types import Array
 FULL_SIZE = 2.7
 """Wheelbase from which on the manoeuvre has its full size [m]; a shorter car drives a smaller one,
 with speeds that give the same lateral acceleration."""
-STEP = 0.005
+TIME_STEP = 0.005
 """Step of the integration along the time [s]."""
 RAMP = 1.2
 """Time over which one part changes into the next [s]."""
@@ -25,11 +25,11 @@ LEAST_SIZE = 0.2
 controller that is stable with 0.4 s of delay and lag."""
 TURN_RATE = 0.45
 """Largest yaw rate of the bends, for the same reason [rad/s]."""
-SPACING = 0.4
+POINT_DISTANCE = 0.4
 """Distance of the points at full size [m]."""
 
 
-class Part(NamedTuple):
+class ManoeuvrePart(NamedTuple):
     """Bend with a slalom on top of it."""
 
     duration: float
@@ -46,14 +46,14 @@ class Part(NamedTuple):
     """At its end [Hz]."""
 
 
-PARTS = (
-    Part(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
-    Part(7.0, 9.8, -1.78, 0.5, 0.5, 1.6),
-    Part(11.1, 5.4, -2.09, 0.4, 0.4, 1.2),
-    Part(11.1, 7.2, 2.09, 0.4, 0.3, 1.0),
-    Part(6.1, 9.8, 1.87, 0.5, 0.3, 1.3),
-    Part(9.6, 5.4, 1.8, 0.4, 0.3, 0.9),
-    Part(5.9, 9.8, 1.1, 0.5, 0.25, 0.8),
+MANOEUVRE = (
+    ManoeuvrePart(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
+    ManoeuvrePart(7.0, 9.8, -1.78, 0.5, 0.5, 1.6),
+    ManoeuvrePart(11.1, 5.4, -2.09, 0.4, 0.4, 1.2),
+    ManoeuvrePart(11.1, 7.2, 2.09, 0.4, 0.3, 1.0),
+    ManoeuvrePart(6.1, 9.8, 1.87, 0.5, 0.3, 1.3),
+    ManoeuvrePart(9.6, 5.4, 1.8, 0.4, 0.3, 0.9),
+    ManoeuvrePart(5.9, 9.8, 1.1, 0.5, 0.25, 0.8),
 )
 """60 s. Durations and bends were found by a search for the smallest square. The first part has a
 steering rate of 0.8 rad/s at full size."""
@@ -78,10 +78,10 @@ def identification_points(wheelbase: float, max_angle: float) -> Array:
     # Integrate the heading, then the position
     speed = math.sqrt(size) * speed
     turn = np.clip(bend / speed, -TURN_RATE, TURN_RATE) + slalom / speed
-    heading = HEADING + np.cumsum(turn) * STEP
-    x, y = (np.cumsum(speed * f(heading)) * STEP for f in (np.cos, np.sin))
-    way = np.cumsum(speed) * STEP
-    at = np.interp(np.arange(way[0], way[-1], SPACING * size), way, time)
+    heading = HEADING + np.cumsum(turn) * TIME_STEP
+    x, y = (np.cumsum(speed * f(heading)) * TIME_STEP for f in (np.cos, np.sin))
+    way = np.cumsum(speed) * TIME_STEP
+    at = np.interp(np.arange(way[0], way[-1], POINT_DISTANCE * size), way, time)
     return np.column_stack(
         [np.interp(at, time, each) for each in (x - x.min(), y - y.min(), speed)]
     )
@@ -92,12 +92,12 @@ def programme() -> tuple[Array, Array, Array, Array]:
 
     They hold for the full size.
     """
-    duration = sum(part.duration for part in PARTS)
-    time: Array = np.arange(0.0, duration, STEP, dtype=np.float64)
-    values: list[Array] = [np.full(len(time), value) for value in PARTS[0][1:5]]
+    duration = sum(part.duration for part in MANOEUVRE)
+    time: Array = np.arange(0.0, duration, TIME_STEP, dtype=np.float64)
+    values: list[Array] = [np.full(len(time), value) for value in MANOEUVRE[0][1:5]]
     speed, bend, slalom, frequency = values
-    begin, before = 0.0, PARTS[0]
-    for part in PARTS:
+    begin, before = 0.0, MANOEUVRE[0]
+    for part in MANOEUVRE:
         rise = np.asarray(q((time - begin) / RAMP + 0.5))
         change = abs(part.speed - before.speed) / SPEED_CHANGE + 0.8
         speed += (part.speed - before.speed) * q((time - begin) / change + 0.5)
@@ -107,7 +107,7 @@ def programme() -> tuple[Array, Array, Array, Array]:
         share = (time[inside] - begin) / part.duration
         frequency[inside] = part.slow + (part.fast - part.slow) * share
         begin, before = begin + part.duration, part
-    phase = math.tau * np.cumsum(frequency) * STEP
+    phase = math.tau * np.cumsum(frequency) * TIME_STEP
     return time, speed, bend, np.asarray(slalom * np.sin(phase))
 
 

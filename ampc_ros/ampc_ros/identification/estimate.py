@@ -14,16 +14,16 @@ from scipy.ndimage import gaussian_filter1d
 
 from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.types import Array
-from ampc_ros.identification.model import Actuator, Car, actuator_angles, car_motion
+from ampc_ros.identification.model import ModelActuator, ModelCar, actuator_angles, car_motion
 from ampc_ros.identification.recording import (
     GRID_STEP,
-    Indices,
     Mask,
-    Recording,
+    RecordedDrive,
+    RowIndices,
     Segment,
 )
 
-NAMES = (
+PARAMETERS = (
     "delay",
     "lag",
     "log_max_rate",
@@ -43,7 +43,7 @@ NAMES = (
 (
     DELAY,
     LAG,
-    RATE,
+    LOG_RATE,
     RATIO,
     OFFSET,
     C_F,
@@ -51,11 +51,11 @@ NAMES = (
     I_Z,
     X_P,
     RELAXATION,
-    CURVATURE,
+    TYRE_CURVE,
     LATENCY,
     TWIST,
     SCRUB,
-) = range(len(NAMES))
+) = range(len(PARAMETERS))
 PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.4])
 """Standard deviations of weak priors about the start values: they hold what a drive leaves open.
 Only the last five, which no vehicle file contains, have ones that matter."""
@@ -63,8 +63,10 @@ STEPS = np.array(
     [2e-3, 2e-3, 1e-2, 1e-3, 1e-4, 3e-3, 3e-3, 3e-3, 1e-3, 3e-2, 3e-2, 2e-3, 1e-3, 3e-2]
 )
 """Steps of the finite differences."""
-LOWER = np.array([0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, 0.0, -0.3, -1.5])
-UPPER = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
+LOWER_BOUND = np.array(
+    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, 0.0, -0.3, -1.5]
+)
+UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
 OUTLIER = 6.0
 """Residual in robust standard deviations beyond which a row is left out."""
 MOST_OUTLIERS = 0.02
@@ -76,14 +78,14 @@ GAIN_ERROR, GEOMETRY_ERROR = 0.0025, 0.2
 transfer and road, and steering geometry, which grows with the square of the angle [rad]. Without
 it, errors of half a percent would decide on stiffness and inertia against the lateral velocity,
 whose noise is larger."""
-WINDOW = 3.0
+GAIN_WINDOW = 3.0
 """Duration of such a window [s]."""
 BIN = 0.1
 """Width of the bins of the scores [s]."""
 BANDWIDTH = 15
 """Bins over which residuals are taken for correlated (Bartlett window)."""
 CURVATURE_OF_TYRES = 0.55
-"""q mu^2 of `lateral_force` for the Magic Formula with usual shape factors."""
+"""q mu^2 of `axle_force` for the Magic Formula with usual shape factors."""
 RELAXATION_SHARE = 0.12
 """Relaxation length of a usual tyre, as a share of the wheelbase."""
 MEAN_SCRUB = 0.5
@@ -117,7 +119,7 @@ class Start(NamedTuple):
     """Height of the centre of gravity [m]."""
 
 
-class Outputs(NamedTuple):
+class ComparedOutputs(NamedTuple):
     """Values that are compared."""
 
     steering: Array
@@ -128,18 +130,18 @@ class Outputs(NamedTuple):
     """Of the measured point [m/s]."""
 
 
-class Fit(NamedTuple):
+class LeastSquaresFit(NamedTuple):
     """Result of the least squares."""
 
     theta: Array
-    """(14,) parameters in the order of NAMES."""
+    """(14,) parameters in the order of PARAMETERS."""
     covariance: Array
     """(14, 14), robust against correlated residuals; zero for parameters that are not estimated."""
     classical: Array
     """(14, 14) for white residuals."""
     cost: float
     """Half the sum of squares of the weighted residuals."""
-    sigma: Outputs
+    sigma: ComparedOutputs
     """Standard deviation of each output, one number each."""
     free: Mask
     """(14,) whether a parameter was estimated."""
@@ -147,18 +149,18 @@ class Fit(NamedTuple):
     """Largest mean rate of the simulated road-wheel angle over 0.1 s [rad/s]."""
 
 
-def actuator_of(theta: Array, start: Start) -> Actuator:
+def actuator_parameters(theta: Array, start: Start) -> ModelActuator:
     """Return the actuator of a parameter vector."""
     delay, lag = float(theta[DELAY]), float(theta[LAG])
     gain = math.exp(-theta[RATIO]) / start.ratio
-    return Actuator(delay, lag, math.exp(float(theta[RATE])), gain, float(theta[OFFSET]))
+    return ModelActuator(delay, lag, math.exp(float(theta[LOG_RATE])), gain, float(theta[OFFSET]))
 
 
-def car_of(theta: Array, start: Start) -> Car:
+def car_parameters(theta: Array, start: Start) -> ModelCar:
     """Return the car of a parameter vector."""
     c = start.chassis
     sigma = start.relaxation or RELAXATION_SHARE * c.wheelbase
-    return Car(
+    return ModelCar(
         c.mass,
         c.cg_to_front_axle,
         c.cg_to_rear_axle,
@@ -166,7 +168,7 @@ def car_of(theta: Array, start: Start) -> Car:
         2 * c.front_cornering_stiffness * math.exp(theta[C_F]),
         2 * c.rear_cornering_stiffness * math.exp(theta[C_R]),
         sigma * math.exp(theta[RELAXATION]),
-        CURVATURE_OF_TYRES / start.friction**2 * math.exp(theta[CURVATURE]),
+        CURVATURE_OF_TYRES / start.friction**2 * math.exp(theta[TYRE_CURVE]),
         start.front_drive,
         start.front_brake,
         start.rolling,
@@ -175,9 +177,11 @@ def car_of(theta: Array, start: Start) -> Car:
     )
 
 
-def predict(theta: Array, recording: Recording, segment: Segment, start: Start) -> Outputs:
+def predicted_outputs(
+    theta: Array, recording: RecordedDrive, segment: Segment, start: Start
+) -> ComparedOutputs:
     """Simulate a segment, and return the outputs at its rows."""
-    actuator = actuator_of(theta, start)
+    actuator = actuator_parameters(theta, start)
     grid = segment.grid
     angles = actuator_angles(recording.command_time, recording.command, grid, actuator)
     motion = car_motion(
@@ -186,7 +190,7 @@ def predict(theta: Array, recording: Recording, segment: Segment, start: Start) 
         segment.acceleration,
         segment.restart,
         GRID_STEP,
-        car_of(theta, start),
+        car_parameters(theta, start),
     )
     seen = recording.time[segment.rows] - theta[LATENCY]
     yaw_rate = np.interp(seen, grid, motion[:, 1])
@@ -194,39 +198,39 @@ def predict(theta: Array, recording: Recording, segment: Segment, start: Start) 
     from_cg = theta[X_P] - start.chassis.cg_to_rear_axle
     slip = v_y + from_cg * yaw_rate + theta[TWIST] * np.interp(seen, grid, segment.speed)
     steering = np.interp(recording.steering_time[segment.steering_rows], grid, angles)
-    return Outputs((steering - actuator.offset) / actuator.gain, yaw_rate, slip)
+    return ComparedOutputs((steering - actuator.offset) / actuator.gain, yaw_rate, slip)
 
 
-def measured(recording: Recording, segment: Segment) -> Outputs:
+def measured_outputs(recording: RecordedDrive, segment: Segment) -> ComparedOutputs:
     """Return the measured outputs at the rows of a segment."""
-    return Outputs(
+    return ComparedOutputs(
         recording.steering[segment.steering_rows],
         recording.yaw_rate[segment.rows],
         recording.v_y[segment.rows],
     )
 
 
-def output_times(recording: Recording, segment: Segment) -> Outputs:
+def output_times(recording: RecordedDrive, segment: Segment) -> ComparedOutputs:
     """Return the times of the outputs of a segment [s]."""
     time = recording.time[segment.rows]
-    return Outputs(recording.steering_time[segment.steering_rows], time, time)
+    return ComparedOutputs(recording.steering_time[segment.steering_rows], time, time)
 
 
-def joined(parts: Sequence[Outputs]) -> Outputs:
+def joined(parts: Sequence[ComparedOutputs]) -> ComparedOutputs:
     """Return the outputs of all segments, one after the other."""
-    return Outputs(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return ComparedOutputs(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 class Problem(NamedTuple):
     """Weighted least squares over the free parameters."""
 
-    recording: Recording
+    recording: RecordedDrive
     segments: Sequence[Segment]
     start: Start
-    weights: Outputs
+    weights: ComparedOutputs
     """Inverse standard deviation of each value, 0 for an outlier."""
-    free: Indices
-    """Indices of the estimated parameters."""
+    free: RowIndices
+    """RowIndices of the estimated parameters."""
     fixed: Array
     """(14,) values of the others."""
     centre: Array
@@ -240,8 +244,10 @@ class Problem(NamedTuple):
 
     def residuals(self, p: Array) -> Array:
         """Return weighted residuals (N,)."""
-        parts = [predict(self.full(p), self.recording, s, self.start) for s in self.segments]
-        values = joined([measured(self.recording, s) for s in self.segments])
+        parts = [
+            predicted_outputs(self.full(p), self.recording, s, self.start) for s in self.segments
+        ]
+        values = joined([measured_outputs(self.recording, s) for s in self.segments])
         differences = zip(values, joined(parts), self.weights, strict=True)
         steering, yaw, slip = (w * (y - y_hat) for y, y_hat, w in differences)
         return np.concatenate((steering, self.without_gain_error(yaw), slip))
@@ -252,7 +258,7 @@ class Problem(NamedTuple):
         In each window the component along the yaw rate is divided by its standard deviation.
         """
         rows = joined([output_times(self.recording, s) for s in self.segments]).yaw_rate
-        window = np.unique(np.floor(rows / WINDOW), return_inverse=True)[1]
+        window = np.unique(np.floor(rows / GAIN_WINDOW), return_inverse=True)[1]
         every = np.concatenate([s.rows for s in self.segments])
         yaw = gaussian_filter1d(self.recording.yaw_rate[every], 3.0)
         speed = np.maximum(gaussian_filter1d(self.recording.v_x[every], 3.0), 0.5)
@@ -272,7 +278,7 @@ class Problem(NamedTuple):
         at, columns = function(p), []
         for k, i in enumerate(self.free):
             moved, step = p.copy(), STEPS[i]
-            if p[k] + step > UPPER[i]:
+            if p[k] + step > UPPER_BOUND[i]:
                 step = -step
             moved[k] += step
             columns.append((function(moved) - at) / step)
@@ -280,7 +286,7 @@ class Problem(NamedTuple):
 
     def solve(self, theta: Array, evaluations: int = 30) -> tuple[Array, float]:
         """Minimise from a starting point; return all parameters and the cost."""
-        low, high = LOWER[self.free], UPPER[self.free]
+        low, high = LOWER_BOUND[self.free], UPPER_BOUND[self.free]
         start = np.clip(theta[self.free], low + 1e-4, high - 1e-4)
         least_squares: Any = optimize.least_squares  # mypy takes it for a module
         result = least_squares(
@@ -297,11 +303,11 @@ class Problem(NamedTuple):
 
 
 def estimate(
-    recording: Recording,
+    recording: RecordedDrive,
     segments: Sequence[Segment],
     start: Start,
     log: Callable[[str], object] = lambda _: None,
-) -> Fit:
+) -> LeastSquaresFit:
     """Estimate all parameters from the segments of a drive.
 
     Args:
@@ -310,11 +316,11 @@ def estimate(
         start: Vehicle to start from.
         log: Receives a line on each stage.
     """
-    theta: Array = np.zeros(len(NAMES))
-    theta[RATE] = UPPER[RATE]  # no limit
+    theta: Array = np.zeros(len(PARAMETERS))
+    theta[LOG_RATE] = UPPER_BOUND[LOG_RATE]  # no limit
     theta[[DELAY, LAG]] = 0.1
-    values = joined([measured(recording, s) for s in segments])
-    free = [DELAY, LAG, RATIO, OFFSET, C_F, C_R, I_Z, X_P, RELAXATION, CURVATURE, TWIST, SCRUB]
+    values = joined([measured_outputs(recording, s) for s in segments])
+    free = [DELAY, LAG, RATIO, OFFSET, C_F, C_R, I_Z, X_P, RELAXATION, TYRE_CURVE, TWIST, SCRUB]
     if len(values.steering):
         free.append(LATENCY)
     # Weights from the noise at first, then from the residuals
@@ -332,23 +338,25 @@ def estimate(
         theta, cost = problem.solve(theta, 60)
     # Rate limit, then outliers
     problem, theta, cost = with_rate_limit(problem, theta, cost)
-    if RATE in problem.free:
-        log(f"rate limit of the steering reached: {math.exp(theta[RATE]):.3g} rad/s")
+    if LOG_RATE in problem.free:
+        log(f"rate limit of the steering reached: {math.exp(theta[LOG_RATE]):.3g} rad/s")
     for _ in range(2):
         problem, sigma = reweighted(problem, theta, values, MOST_OUTLIERS)
         theta, cost = problem.solve(theta, 60)
     covariance, classical = covariances(problem, theta)
-    chosen = np.isin(np.arange(len(NAMES)), problem.free)
+    chosen = np.isin(np.arange(len(PARAMETERS)), problem.free)
     largest = largest_rate(theta, problem, RATE_STEPS)
-    return Fit(theta, covariance, classical, cost, sigma, chosen, largest)
+    return LeastSquaresFit(theta, covariance, classical, cost, sigma, chosen, largest)
 
 
-def first_deviations(values: Outputs, recording: Recording) -> Outputs:
+def first_deviations(values: ComparedOutputs, recording: RecordedDrive) -> ComparedOutputs:
     """Return the noise of each output from its second differences, with a floor."""
     series = (recording.steering, recording.yaw_rate, recording.v_y)
     noise = (high_frequency_noise(each) for each in series)
-    floors = (5 * FLOOR * rms(each) for each in values)
-    return Outputs(*(np.array(math.hypot(*pair)) for pair in zip(noise, floors, strict=True)))
+    floors = (5 * FLOOR * root_mean_square(each) for each in values)
+    return ComparedOutputs(
+        *(np.array(math.hypot(*pair)) for pair in zip(noise, floors, strict=True))
+    )
 
 
 def high_frequency_noise(values: Array) -> float:
@@ -358,67 +366,71 @@ def high_frequency_noise(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(values, 3))) / math.sqrt(20.0))
 
 
-def rms(values: Array) -> float:
+def root_mean_square(values: Array) -> float:
     """Return the root of the mean square, at least 1e-9."""
     return max(math.sqrt(float(np.mean(values**2))), 1e-9) if len(values) else 1.0
 
 
 def weighted(
-    recording: Recording,
+    recording: RecordedDrive,
     segments: Sequence[Segment],
     start: Start,
-    values: Outputs,
-    sigma: Outputs,
-    free: Indices,
+    values: ComparedOutputs,
+    sigma: ComparedOutputs,
+    free: RowIndices,
     theta: Array,
 ) -> Problem:
     """Return the problem with equal weights for all rows of an output."""
-    weights = Outputs(*(np.full(len(y), 1.0 / s) for y, s in zip(values, sigma, strict=True)))
-    centre = np.zeros(len(NAMES))
+    weights = ComparedOutputs(
+        *(np.full(len(y), 1.0 / s) for y, s in zip(values, sigma, strict=True))
+    )
+    centre = np.zeros(len(PARAMETERS))
     return Problem(recording, segments, start, weights, free, theta.copy(), centre)
 
 
 def reweighted(
-    problem: Problem, theta: Array, values: Outputs, most_outliers: float
-) -> tuple[Problem, Outputs]:
+    problem: Problem, theta: Array, values: ComparedOutputs, most_outliers: float
+) -> tuple[Problem, ComparedOutputs]:
     """Return the problem with weights from the residuals, and the deviations of the outputs.
 
     Rows far from the model are left out, but no more than a share of them: more would be an error
     of the model.
     """
     predicted = joined(
-        [predict(theta, problem.recording, s, problem.start) for s in problem.segments]
+        [predicted_outputs(theta, problem.recording, s, problem.start) for s in problem.segments]
     )
     weights, sigma = [], []
     for y, y_hat in zip(values, predicted, strict=True):
         residual = y - y_hat
         spread = 1.4826 * float(np.median(np.abs(residual))) if len(y) else 1.0
-        is_outlier = np.abs(residual) > OUTLIER * max(spread, FLOOR * rms(y))
+        is_outlier = np.abs(residual) > OUTLIER * max(spread, FLOOR * root_mean_square(y))
         if is_outlier.sum() > most_outliers * len(y):
             is_outlier[:] = False
-        deviation = math.hypot(rms(residual[~is_outlier]), FLOOR * rms(y))
+        deviation = math.hypot(root_mean_square(residual[~is_outlier]), FLOOR * root_mean_square(y))
         weights.append(np.where(is_outlier, 0.0, 1.0 / deviation))
         sigma.append(np.array(deviation))
-    return problem._replace(weights=Outputs(*weights), fixed=theta.copy()), Outputs(*sigma)
+    return problem._replace(weights=ComparedOutputs(*weights), fixed=theta.copy()), ComparedOutputs(
+        *sigma
+    )
 
 
 def with_rate_limit(problem: Problem, theta: Array, cost: float) -> tuple[Problem, Array, float]:
     """Return problem, parameters and cost with a rate limit, where the drive shows one."""
     largest, actuator = largest_rate(theta, problem, RATE_STEPS), np.array([DELAY, LAG])
-    free = np.array(sorted({*problem.free.tolist(), RATE}))
+    free = np.array(sorted({*problem.free.tolist(), LOG_RATE}))
     trials = []
     for share in RATE_SHARES:
         limited = theta.copy()
-        limited[RATE] = math.log(share * largest)
+        limited[LOG_RATE] = math.log(share * largest)
         limited = problem._replace(free=actuator, fixed=limited).solve(limited, 6)[0]
         centre = problem.centre.copy()
-        centre[RATE] = limited[RATE]
+        centre[LOG_RATE] = limited[LOG_RATE]
         trial = problem._replace(free=free, centre=centre, fixed=limited)
         trials.append((trial, *trial.solve(limited, 12)))
     trial, found, new_cost = min(trials, key=lambda each: each[2])
     found, new_cost = trial.solve(found, 40)
-    is_reached = math.exp(found[RATE]) < 0.95 * largest_rate(
-        np.where(np.arange(len(found)) == RATE, UPPER[RATE], found), problem
+    is_reached = math.exp(found[LOG_RATE]) < 0.95 * largest_rate(
+        np.where(np.arange(len(found)) == LOG_RATE, UPPER_BOUND[LOG_RATE], found), problem
     )
     if is_reached and 2 * (cost - new_cost) > RATE_EVIDENCE:
         return trial, found, new_cost
@@ -427,7 +439,7 @@ def with_rate_limit(problem: Problem, theta: Array, cost: float) -> tuple[Proble
 
 def largest_rate(theta: Array, problem: Problem, steps: int = 1) -> float:
     """Return the largest mean rate of the road-wheel angle over steps of the grid [rad/s]."""
-    actuator, data = actuator_of(theta, problem.start), problem.recording
+    actuator, data = actuator_parameters(theta, problem.start), problem.recording
     changes = []
     for segment in problem.segments:
         angles = actuator_angles(data.command_time, data.command, segment.grid, actuator)

@@ -19,7 +19,7 @@ LOWEST_SPEED = 0.5
 """Speed by which the slip angles are divided at least [m/s]."""
 
 
-class Actuator(NamedTuple):
+class ModelActuator(NamedTuple):
     """Steering actuator: delay, first-order lag, rate limit, in this order."""
 
     delay: float
@@ -34,7 +34,7 @@ class Actuator(NamedTuple):
     """Road-wheel angle at the command 0 [rad]."""
 
 
-class Car(NamedTuple):
+class ModelCar(NamedTuple):
     """Single-track car."""
 
     mass: float
@@ -48,7 +48,7 @@ class Car(NamedTuple):
     relaxation: float
     """Relaxation length [m]."""
     curvature: float
-    """Share `q` by which the tyre's curve bends, see `lateral_force`."""
+    """Share `q` by which the tyre's curve bends, see `axle_force`."""
     front_drive: float
     """Front share of the drive force."""
     front_brake: float
@@ -62,7 +62,7 @@ class Car(NamedTuple):
 
 
 @compiled
-def actuator_angles(time: Array, command: Array, grid: Array, actuator: Actuator) -> Array:
+def actuator_angles(time: Array, command: Array, grid: Array, actuator: ModelActuator) -> Array:
     """Return the road-wheel angle at the times of a grid (n,) [rad].
 
     The delayed command is averaged over each step of the grid, so that the angle is a continuous
@@ -98,7 +98,7 @@ def actuator_angles(time: Array, command: Array, grid: Array, actuator: Actuator
 
 
 @inlined
-def lateral_force(slip: float, stiffness: float, load: float, q: float) -> float:
+def axle_force(slip: float, stiffness: float, load: float, q: float) -> float:
     """Return the lateral force of an axle: C alpha / sqrt(1 + q (C alpha / F_z)^2) [N].
 
     Its linear and cubic terms are those of the Magic Formula with q = (0.48 to 0.7) / mu^2 for
@@ -115,7 +115,7 @@ def rates(
     v_x: float,
     a_x: float,
     relaxation: float,
-    car: Car,
+    car: ModelCar,
 ) -> tuple[float, float, float, float]:
     """Return the time derivative of v_y, r and both transient slip angles.
 
@@ -129,8 +129,8 @@ def rates(
     v = max(v_x, LOWEST_SPEED)
     shift = STIFFNESS_OF_LOAD * a_x * car.height / GRAVITY
     C_f, C_r = car.C_f * (1.0 - shift / car.l_r), car.C_r * (1.0 + shift / car.l_f)
-    F_f = lateral_force(slip_f, C_f, weight * car.l_r / L, car.curvature)
-    F_r = lateral_force(slip_r, C_r, weight * car.l_f / L, car.curvature)
+    F_f = axle_force(slip_f, C_f, weight * car.l_r / L, car.curvature)
+    F_r = axle_force(slip_r, C_r, weight * car.l_f / L, car.curvature)
     sin, cos = math.sin(delta), math.cos(delta)
     F_x = car.mass * (a_x - v_y * r) + car.rolling * weight + F_f * sin
     share = car.front_drive if F_x > 0.0 else car.front_brake
@@ -148,7 +148,7 @@ def rates(
 
 @compiled
 def car_motion(
-    angles: Array, speed: Array, acceleration: Array, restart: Array, step: float, car: Car
+    angles: Array, speed: Array, acceleration: Array, restart: Array, step: float, car: ModelCar
 ) -> Array:
     """Return lateral velocity at the centre of gravity and yaw rate (n, 2), by Runge-Kutta.
 

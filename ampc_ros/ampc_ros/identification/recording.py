@@ -13,25 +13,25 @@ GRID_STEP = 0.01
 """Step of the simulation [s]."""
 SMOOTHING = 0.2
 """Standard deviation of the Gaussian that smooths the speed [s]."""
-SLOWEST = 0.7
+LEAST_SPEED = 0.7
 """Speed above which rows are used [m/s]."""
-MOST_ACCELERATION = 4.0
+LARGEST_LATERAL = 4.0
 """Lateral acceleration above which tyres are not linear enough [m/s^2]."""
 HARDEST_BRAKING = 2.5
 """Deceleration above which the brakes change the lateral forces too much [m/s^2]."""
-MARGIN = 0.3
+TIME_AROUND = 0.3
 """Time around unusable rows that is left out, too [s]."""
-SHORTEST = 3.0
+SHORTEST_SEGMENT = 3.0
 """Duration of the shortest segment that is used [s]."""
 WASHOUT = 1.0
 """Time from the begin of a segment until its rows are compared [s]."""
 LONGEST_GAP = 0.35
 """Longest time between two states, or between a state and the last command before it [s]."""
 Mask = NDArray[np.bool_]
-Indices = NDArray[np.int64]
+RowIndices = NDArray[np.int64]
 
 
-class Recording(NamedTuple):
+class RecordedDrive(NamedTuple):
     """Measured drive; times on one clock, angles to the left positive."""
 
     time: Array
@@ -60,18 +60,18 @@ class Recording(NamedTuple):
     """(n,) arrival minus stamp of the states [s]; empty: not known."""
 
 
-def recording_of(states: Array, command: Array, steering: Array, age: Array) -> Recording:
+def recording_of(states: Array, command: Array, steering: Array, age: Array) -> RecordedDrive:
     """Return a recording of tables.
 
     Args:
-        states: (n, 7) time and state of the odometry; see Recording.
+        states: (n, 7) time and state of the odometry; see RecordedDrive.
         command: (m, 2) time and command.
         steering: (k, 2) time and measured steering.
         age: (n,) arrival minus stamp [s]; empty: not known.
     """
     t, x, y, yaw, v_x, v_y, r = states.T
     (sent, commanded), (seen, angle) = command.T, steering.T
-    return Recording(t, x, y, yaw, v_x, v_y, r, sent, commanded, seen, angle, age)
+    return RecordedDrive(t, x, y, yaw, v_x, v_y, r, sent, commanded, seen, angle, age)
 
 
 class Segment(NamedTuple):
@@ -85,13 +85,13 @@ class Segment(NamedTuple):
     """(g,) its derivative [m/s^2]."""
     restart: Array
     """(g,) yaw rate at the begin [rad/s], nan elsewhere."""
-    rows: Indices
+    rows: RowIndices
     """States that are compared with the model."""
-    steering_rows: Indices
+    steering_rows: RowIndices
     """Measurements of the steering that are compared with the model."""
 
 
-def usable_rows(recording: Recording, friction: float) -> tuple[Mask, dict[str, float]]:
+def usable_rows(recording: RecordedDrive, friction: float) -> tuple[Mask, dict[str, float]]:
     """Return the rows that the model can explain, and the shares of those left out by reason.
 
     Args:
@@ -108,8 +108,8 @@ def usable_rows(recording: Recording, friction: float) -> tuple[Mask, dict[str, 
     silence = t - recording.command_time[np.maximum(last, 0)]
     finite = np.isfinite(np.column_stack(recording[:7])).all(axis=1)
     reasons: dict[str, Mask] = {
-        "slow, at a standstill or in reverse": ~(speed > SLOWEST),
-        "lateral acceleration": lateral > min(MOST_ACCELERATION, 0.5 * friction * GRAVITY),
+        "slow, at a standstill or in reverse": ~(speed > LEAST_SPEED),
+        "lateral acceleration": lateral > min(LARGEST_LATERAL, 0.5 * friction * GRAVITY),
         "braking": braking > HARDEST_BRAKING,
         "no command": np.asarray((last < 0) | (silence > LONGEST_GAP)),
         "not finite": np.asarray(~finite),
@@ -119,13 +119,15 @@ def usable_rows(recording: Recording, friction: float) -> tuple[Mask, dict[str, 
     for reason, rows in reasons.items():
         shares[reason] = float(np.mean(rows & ~left_out))
         left_out |= rows
-    margin = round(MARGIN / interval)
+    margin = round(TIME_AROUND / interval)
     if margin and left_out.any():
         left_out = binary_dilation(left_out, iterations=margin)
     return ~left_out, {reason: share for reason, share in shares.items() if share > 0}
 
 
-def segments_of(recording: Recording, friction: float) -> tuple[list[Segment], dict[str, float]]:
+def segments_of(
+    recording: RecordedDrive, friction: float
+) -> tuple[list[Segment], dict[str, float]]:
     """Return the usable segments, and the shares of the rows left out by reason.
 
     A segment ends where rows are unusable, and where stamps jump.
@@ -137,7 +139,7 @@ def segments_of(recording: Recording, friction: float) -> tuple[list[Segment], d
     segments = []
     for k in np.unique(number[usable]):
         rows = np.flatnonzero(usable & (number == k))
-        if t[rows[-1]] - t[rows[0]] >= SHORTEST:
+        if t[rows[-1]] - t[rows[0]] >= SHORTEST_SEGMENT:
             segments.append(make_segment(recording, rows))
     used = sum(len(segment.rows) for segment in segments)
     if rest := float(np.mean(usable)) - used / len(t):
@@ -145,7 +147,7 @@ def segments_of(recording: Recording, friction: float) -> tuple[list[Segment], d
     return segments, shares
 
 
-def make_segment(recording: Recording, rows: Indices) -> Segment:
+def make_segment(recording: RecordedDrive, rows: RowIndices) -> Segment:
     """Return the segment of contiguous rows."""
     t = recording.time[rows]
     grid = np.arange(t[0], t[-1] + GRID_STEP, GRID_STEP)

@@ -16,21 +16,21 @@ from ampc_ros.identification.estimate import (
     I_Z,
     LAG,
     LATENCY,
+    LOG_RATE,
     OFFSET,
-    RATE,
     RATIO,
     X_P,
-    Fit,
-    Outputs,
+    ComparedOutputs,
+    LeastSquaresFit,
     Start,
     estimate,
     high_frequency_noise,
     joined,
-    measured,
+    measured_outputs,
     output_times,
-    predict,
+    predicted_outputs,
 )
-from ampc_ros.identification.recording import Recording, Segment, segments_of
+from ampc_ros.identification.recording import RecordedDrive, Segment, segments_of
 
 QUANTILE = 2.0
 """Half-width of a 95 % interval in standard deviations."""
@@ -121,7 +121,7 @@ class Excitation(NamedTuple):
     """Shares of the recorded time that were not used, by reason."""
 
 
-class Noise(NamedTuple):
+class OdometryNoise(NamedTuple):
     """Standard deviations of the odometry, as in the settings of the controller."""
 
     position_noise: float
@@ -151,20 +151,20 @@ class Identification(NamedTuple):
     """By the names of RULES."""
     chassis: ChassisParameters
     """Start chassis with the identified values."""
-    noise: Noise
+    noise: OdometryNoise
     age: Age | None
     """None: arrival times are not known, or not on the clock of the stamps."""
     excitation: Excitation
-    time: Outputs
+    time: ComparedOutputs
     """Times of the compared values [s]."""
-    measured: Outputs
-    predicted: Outputs
+    measured: ComparedOutputs
+    predicted: ComparedOutputs
     has_lateral_velocity: bool
     """Whether the odometry measures a lateral velocity."""
 
 
 def identify(
-    recording: Recording, start: Start, log: Callable[[str], object] = lambda _: None
+    recording: RecordedDrive, start: Start, log: Callable[[str], object] = lambda _: None
 ) -> Identification:
     """Identify a car from a recorded drive.
 
@@ -185,7 +185,7 @@ def identify(
     excitation = excitation_of(recording, segments, left_out)
     log(f"{len(segments)} usable segments, {excitation.duration:.0f} s")
     fit = estimate(recording, segments, start, log)
-    values = joined([measured(recording, s) for s in segments])
+    values = joined([measured_outputs(recording, s) for s in segments])
     result = quantities_of(fit, start, excitation)
     has_lateral_velocity = float(np.std(values.lateral_velocity)) > 1e-6
     if not has_lateral_velocity:
@@ -196,18 +196,18 @@ def identify(
     return Identification(
         result,
         identified_chassis(start.chassis, result),
-        noise_of(recording, fit),
+        odometry_noise(recording, fit),
         age_of(recording.age),
         excitation,
         joined([output_times(recording, s) for s in segments]),
         values,
-        joined([predict(fit.theta, recording, s, start) for s in segments]),
+        joined([predicted_outputs(fit.theta, recording, s, start) for s in segments]),
         has_lateral_velocity,
     )
 
 
 def excitation_of(
-    recording: Recording, segments: list[Segment], left_out: dict[str, float]
+    recording: RecordedDrive, segments: list[Segment], left_out: dict[str, float]
 ) -> Excitation:
     """Return what the usable part of a drive contains."""
     rows = np.concatenate([segment.rows for segment in segments])
@@ -223,7 +223,9 @@ def excitation_of(
     )
 
 
-def quantities_of(fit: Fit, start: Start, excitation: Excitation) -> dict[str, Quantity]:
+def quantities_of(
+    fit: LeastSquaresFit, start: Start, excitation: Excitation
+) -> dict[str, Quantity]:
     """Return all quantities with their intervals, judged by RULES."""
     theta, c = fit.theta, start.chassis
 
@@ -246,13 +248,13 @@ def quantities_of(fit: Fit, start: Start, excitation: Excitation) -> dict[str, Q
     slope = np.zeros(len(theta))
     for i in (C_F, C_R):
         slope[i] = (chassis(theta + 1e-4 * unit(i)).understeer_gradient - gradient) / 1e-4
-    rate = math.exp(float(theta[RATE])) if fit.free[RATE] else fit.largest_rate
+    rate = math.exp(float(theta[LOG_RATE])) if fit.free[LOG_RATE] else fit.largest_rate
     scale = max(abs(gradient), ONE_DEGREE_PER_G)
     rows: dict[str, tuple[float, float, float]] = {  # value, deviation, unit of the rule
         "delay": (theta[DELAY], deviation(unit(DELAY)), 1.0),
         "lag": (theta[LAG], deviation(unit(LAG)), 1.0),
         "total_latency": (theta[DELAY] + theta[LAG], deviation(unit(DELAY, LAG)), 1.0),
-        "max_rate": (rate, rate * deviation(unit(RATE)), rate),
+        "max_rate": (rate, rate * deviation(unit(LOG_RATE)), rate),
         "ratio": (start.ratio * math.exp(theta[RATIO]), 0.0, start.ratio * math.exp(theta[RATIO])),
         "offset": (theta[OFFSET], deviation(unit(OFFSET)), 1.0),
         "understeer_gradient": (gradient, deviation(slope), scale),
@@ -278,7 +280,7 @@ def quantities_of(fit: Fit, start: Start, excitation: Excitation) -> dict[str, Q
         least = -math.inf if name in SIGNED else 0.0
         verdict = judge(name, half / scale, rule, excitation)
         result[name] = Quantity(float(value), half, *verdict, least)
-        if half <= limit and name == "max_rate" and not fit.free[RATE]:
+        if half <= limit and name == "max_rate" and not fit.free[LOG_RATE]:
             text = f"the limit was not reached; the wheels turned at up to {rate:.2g} rad/s"
             result[name] = result[name]._replace(reason=text, help=rule.help)
     if not fit.free[LATENCY]:
@@ -326,9 +328,9 @@ def identified_chassis(start: ChassisParameters, found: dict[str, Quantity]) -> 
     return chassis
 
 
-def noise_of(recording: Recording, fit: Fit) -> Noise:
+def odometry_noise(recording: RecordedDrive, fit: LeastSquaresFit) -> OdometryNoise:
     """Return the noise of the odometry: of its pose from differences, of its twist as well."""
-    return Noise(
+    return OdometryNoise(
         math.sqrt(
             (high_frequency_noise(recording.x) ** 2 + high_frequency_noise(recording.y) ** 2) / 2
         ),

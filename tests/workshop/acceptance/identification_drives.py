@@ -24,7 +24,7 @@ from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.controller import build_controller
 from ampc_ros.identification.estimate import Start
-from ampc_ros.identification.recording import Recording, recording_of
+from ampc_ros.identification.recording import RecordedDrive, recording_of
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.measurement import Deviations, noisy
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
@@ -73,7 +73,7 @@ class Assumed(NamedTuple):
 class Driven(NamedTuple):
     """One drive."""
 
-    recording: Recording
+    recording: RecordedDrive
     lateral_acceleration: float
     """Largest true v r [m/s^2]."""
     area: tuple[float, float]
