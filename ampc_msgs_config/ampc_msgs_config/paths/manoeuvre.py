@@ -48,12 +48,12 @@ class ManoeuvrePart(NamedTuple):
 
 MANOEUVRE = (
     ManoeuvrePart(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
-    ManoeuvrePart(7.0, 9.8, -1.78, 0.5, 0.5, 1.6),
-    ManoeuvrePart(11.1, 5.4, -2.09, 0.4, 0.4, 1.2),
-    ManoeuvrePart(11.1, 7.2, 2.09, 0.4, 0.3, 1.0),
-    ManoeuvrePart(6.1, 9.8, 1.87, 0.5, 0.3, 1.3),
-    ManoeuvrePart(9.6, 5.4, 1.8, 0.4, 0.3, 0.9),
-    ManoeuvrePart(5.9, 9.8, 1.1, 0.5, 0.25, 0.8),
+    ManoeuvrePart(7.0, 9.8, -1.78, 0.4, 0.5, 1.6),
+    ManoeuvrePart(11.1, 5.4, -2.09, 0.3, 0.4, 1.2),
+    ManoeuvrePart(11.1, 7.2, 2.09, 0.3, 0.3, 1.0),
+    ManoeuvrePart(6.1, 9.8, 1.87, 0.4, 0.3, 1.3),
+    ManoeuvrePart(9.6, 5.4, 1.8, 0.3, 0.3, 0.9),
+    ManoeuvrePart(5.9, 9.8, 1.1, 0.4, 0.25, 0.8),
 )
 """60 s. Durations and bends were found by a search for the smallest square. The first part has a
 steering rate of 0.8 rad/s at full size."""

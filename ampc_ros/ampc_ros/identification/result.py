@@ -70,6 +70,10 @@ RULES = {
 }
 """Absolute, but relative for `max_rate`, `ratio`, inertia and stiffness, relative to the gradient
 or to ONE_DEGREE_PER_G, whichever is larger, and to the wheelbase for `measured_point`."""
+ACTUATOR = ("delay", "lag", "total_latency")
+WITHOUT_STEERING = 2.0
+"""Factor on the allowances of ACTUATOR where the steering is not measured: errors of the tyre model
+then act on them."""
 SIGNED = ("offset", "understeer_gradient", "measured_point")
 """Quantities that may be negative."""
 TYRES = (
@@ -275,7 +279,10 @@ def quantities_of(
     result = {}
     for name, (value, sigma, scale) in rows.items():
         rule = RULES[name]
-        half = QUANTILE * math.hypot(sigma, rule.allowance * scale)
+        allowance = rule.allowance * scale
+        if name in ACTUATOR and not fit.free[LATENCY]:
+            allowance *= WITHOUT_STEERING
+        half = QUANTILE * math.hypot(sigma, allowance)
         limit = rule.limit * scale
         least = -math.inf if name in SIGNED else 0.0
         verdict = judge(name, half / scale, rule, excitation)
