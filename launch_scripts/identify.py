@@ -77,11 +77,13 @@ def identify_bag(options: argparse.Namespace, console: Console, command: str) ->
     log(f"{count}, {len(recording.steering)} measured steering angles; start: {vehicle.name}")
     # Identify
     from ampc_msgs_config.compiled import log_compilation
+    from ampc_ros.identification.estimate import compile_model
     from ampc_ros.identification.result import identify
 
+    with log_compilation("model of the identification", log):
+        compile_model()
     try:
-        with log_compilation("model of the identification", log):
-            result = identify(recording, vehicle.start(), log)
+        result = identify(recording, vehicle.start(), log)
     except ValueError as error:
         raise ValueError(f"{options.bag}: {error}") from error
     # Write

@@ -38,8 +38,9 @@ def quantity_rows(result: Identification) -> list[list[str]]:
 
 
 def plain(value: float, pattern: str) -> str:
-    """Return a number without an exponent."""
+    """Return a number without an exponent, and without the sign of a zero."""
     shown = format(value, pattern)
+    shown = shown.lstrip("-") if float(shown.replace(",", "")) == 0.0 else shown
     return f"{float(shown.replace(',', '')):,.0f}" if "e" in shown else shown
 
 

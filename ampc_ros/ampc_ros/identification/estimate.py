@@ -119,6 +119,22 @@ class Start(NamedTuple):
     """Height of the centre of gravity [m]."""
 
 
+def compile_model() -> None:
+    """Compile the simulation of steering and car."""
+    chassis = ChassisParameters(
+        mass=1.0,
+        yaw_inertia=1.0,
+        cg_to_front_axle=1.0,
+        cg_to_rear_axle=1.0,
+        front_cornering_stiffness=1.0,
+        rear_cornering_stiffness=1.0,
+    )
+    theta, start, flat = np.zeros(len(PARAMETERS)), Start(chassis), np.ones(2)
+    grid = np.array([0.0, GRID_STEP])
+    angles = actuator_angles(grid, flat, grid, actuator_parameters(theta, start))
+    car_motion(angles, flat, flat, flat, GRID_STEP, car_parameters(theta, start))
+
+
 class ComparedOutputs(NamedTuple):
     """Values that are compared."""
 

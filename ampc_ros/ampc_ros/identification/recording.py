@@ -69,8 +69,9 @@ def recording_of(states: Array, command: Array, steering: Array, age: Array) -> 
         steering: (k, 2) time and measured steering.
         age: (n,) arrival minus stamp [s]; empty: not known.
     """
-    t, x, y, yaw, v_x, v_y, r = states.T
-    (sent, commanded), (seen, angle) = command.T, steering.T
+    t, x, y, yaw, v_x, v_y, r = np.ascontiguousarray(states.T)  # one type for compiled code
+    sent, commanded = np.ascontiguousarray(command.T)
+    seen, angle = np.ascontiguousarray(steering.T)
     return RecordedDrive(t, x, y, yaw, v_x, v_y, r, sent, commanded, seen, angle, age)
 
 
