@@ -5,6 +5,7 @@ is 0 after a complete drive, 1 if a node died, 2 if an option is invalid, 3 if a
 publishing, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
+import argparse
 import os
 import shutil
 import signal
@@ -19,11 +20,19 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.run.options import Run, prepare_run, print_vehicle_warnings, read_run_options
+from launch_scripts.run.options import (
+    Run,
+    prepare_run,
+    print_vehicle_warnings,
+    read_run_options,
+    write_path,
+)
 from launch_scripts.run.processes import Processes, ros_environment
+from sim_vehicle.parameters import load_vehicle_file
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
@@ -52,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Drive, write and print the result, and return the exit code."""
     options = read_run_options(arguments, __doc__)
     console = Console(highlight=False, soft_wrap=True)
+    if options.write_path:
+        return write_manoeuvre_file(options, console)
     os.environ.update(ros_environment())
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
@@ -64,6 +75,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, RunEnded) as error:
         print_error(console, error)
         return error.code if isinstance(error, RunEnded) else WRONG_SET_UP
+
+
+def write_manoeuvre_file(options: argparse.Namespace, console: Console) -> int:
+    """Write the path of the manoeuvre for a real car, and return the exit code."""
+    try:
+        if not options.manoeuvre:
+            raise ValueError("--write-path needs --manoeuvre identification")
+        write_path(options.write_path, load_vehicle_file(find("vehicles", options.vehicle)))
+    except ValueError as error:
+        print_error(console, error)
+        return WRONG_SET_UP
+    console.print(f"{options.write_path}: x_m,y_m,v_mps of {options.manoeuvre}", markup=False)
+    return 0
 
 
 def interrupt(number: int, _: Any) -> NoReturn:

@@ -13,12 +13,18 @@ from rich.text import Text
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
+from ampc_msgs_config.paths.manoeuvre import write_manoeuvre
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.vehicle_warnings import file_warnings
 from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
 from ampc_ros.mpc.gain_table import load_gain_table
-from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
+from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
+
+IDENTIFICATION = "identification"
+"""Name of the manoeuvre, and of the settings that drive it."""
+MANOEUVRE_FILE = "manoeuvre.csv"
+"""Path of the manoeuvre, in the folder of the run."""
 
 
 class Run(NamedTuple):
@@ -59,6 +65,11 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     names = f"{', '.join(CONTROLLERS)}, or a class of yours: my_file.py:MyController"
     add("--scenario", "sc1", "scenario to drive", "scenarios")
     add("--path", "", "CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m, instead of a scenario")
+    text = "drive the manoeuvre for identify.py, scaled to the car, instead of a scenario; default "
+    text += "controller and settings are then pure_pursuit and identification"
+    add("--manoeuvre", "", text, choices=(IDENTIFICATION,))
+    text = "write the path of the manoeuvre to this CSV file, for a real car, and end"
+    add("--write-path", None, text, type=Path)
     add_speed_options(parser)
     text = "columns of the CSV file by number or name, such as x=3,y=4; default: by its header"
     add("--columns", "", text)
@@ -77,7 +88,13 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     add("--real-time", False, "run freely instead of in lock-step", action="store_true")
     add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.manoeuvre:
+        if options.controller == default.controller:
+            options.controller = "pure_pursuit"
+        if options.controller == "pure_pursuit" and options.settings == default.settings:
+            options.settings = IDENTIFICATION
+    return options
 
 
 def add_speed_options(parser: argparse.ArgumentParser) -> None:
@@ -157,14 +174,37 @@ def prepare_run(options: argparse.Namespace) -> Run:
         from launch_scripts.faults.schedule import load_faults
 
         load_faults(options.faults)
-    route = Route(*(getattr(options, key) for key in Route._fields))
-    scenario = choose_scenario(route, load_vehicle_file(find("vehicles", options.vehicle)).size)
-    values = {key: value for key, value in vars(options).items() if key != "output"}
+    vehicle = load_vehicle_file(find("vehicles", options.vehicle))
     label = controller_label(options.controller)
-    name = f"{datetime.now():%Y%m%d_%H%M%S}_{scenario.name}_{label}"
-    folder = options.output or Path("runs") / name
-    create_folder(folder, exist_ok=False)
+    if options.manoeuvre:
+        folder = options.output or Path("runs") / run_name(options.manoeuvre, label)
+        create_folder(folder, exist_ok=False)
+        options.path = str(folder / MANOEUVRE_FILE)
+        write_path(folder / MANOEUVRE_FILE, vehicle)
+    route = Route(*(getattr(options, key) for key in Route._fields))
+    scenario = choose_scenario(route, vehicle.size)
+    if not options.manoeuvre:
+        folder = options.output or Path("runs") / run_name(scenario.name, label)
+        create_folder(folder, exist_ok=False)
+    values = {k: v for k, v in vars(options).items() if k not in ("output", "write_path")}
     return Run(folder, scenario, values)
+
+
+def run_name(scenario: str, controller: str) -> str:
+    """Return the name of the folder of a run."""
+    return f"{datetime.now():%Y%m%d_%H%M%S}_{scenario}_{controller}"
+
+
+def write_path(file: Path, vehicle: Vehicle) -> None:
+    """Write the manoeuvre of the identification for a car.
+
+    Raises:
+        ValueError: The file cannot be written.
+    """
+    try:
+        write_manoeuvre(file, vehicle.chassis.wheelbase, vehicle.steering.max_angle)
+    except OSError as error:
+        raise ValueError(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def create_folder(folder: Path, *, exist_ok: bool) -> None:

@@ -25,6 +25,7 @@ COMMANDS = {
     "reproduce",
     "bootstrap",
     "new_car",
+    "identify",
 }
 COMMANDS |= {"compile_all", "certify", "setup", "__init__"}
 """Files at the top of launch_scripts."""

@@ -1,0 +1,1 @@
+"""Identification of steering, tyres and measuring point from a recorded drive."""

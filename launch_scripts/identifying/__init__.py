@@ -1,0 +1,1 @@
+"""Identification of a car from a bag: reading, result files, page."""

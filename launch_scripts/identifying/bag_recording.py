@@ -1,0 +1,145 @@
+"""Read the recording of an identification from a bag, and the vehicle that it starts from."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ampc_msgs_config import ros, topics
+from ampc_msgs_config.config import build
+from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
+from ampc_msgs_config.types import NANOSECONDS, Array
+from ampc_msgs_config.vehicle_file import read_vehicle
+from ampc_ros.identification.estimate import Start
+from ampc_ros.identification.recording import RecordedDrive, recording_of
+from launch_scripts.bags.bag import open_bag
+from launch_scripts.bags.bag_columns import BagColumns, read_columns
+
+NO_COMMAND = "no command was recorded: record the topic, or rename it with --namespace"
+NEW_CAR = "python launch_scripts/new_car.py --mass KG --wheelbase M --output start.yaml"
+HEIGHT_SHARE = 0.2
+"""Height of the centre of gravity, as a share of the wheelbase, where the file states none."""
+TRACK_SHARE = 0.57
+"""Track width, as a share of the wheelbase, where the file states none."""
+
+
+class StartVehicle(NamedTuple):
+    """Vehicle that the identification starts from."""
+
+    name: str
+    """File, or origin."""
+    sections: dict[str, dict[str, Any]]
+    estimated: dict[str, float]
+    chassis: ChassisParameters
+    steering: SteeringParameters
+
+    def start(self) -> Start:
+        """Return what the estimator needs; usual values replace missing sections."""
+        tyre, body, drive = (self.sections.get(name, {}) for name in ("tyre", "body", "powertrain"))
+        wheelbase, usual = self.chassis.wheelbase, Start(self.chassis)
+        return Start(
+            self.chassis,
+            self.steering.ratio,
+            float(tyre.get("friction", usual.friction)),
+            tyre.get("relaxation_length"),
+            float(drive.get("front_drive_share", usual.front_drive)),
+            float(drive.get("front_brake_share", usual.front_brake)),
+            float(drive.get("rolling_resistance", usual.rolling)),
+            float(body.get("track", TRACK_SHARE * wheelbase)),
+            float(body.get("cg_height", HEIGHT_SHARE * wheelbase)),
+        )
+
+
+def vehicle_of_file(file: Path) -> StartVehicle:
+    """Load the start vehicle from a file, which needs the sections chassis and steering.
+
+    Raises:
+        ValueError: File, key, value and bound.
+    """
+    content, user = read_vehicle(file), "the identification"
+    return StartVehicle(
+        str(file),
+        content.sections,
+        content.estimated,
+        content.section(ChassisParameters, "chassis", user),
+        content.section(SteeringParameters, "steering", user),
+    )
+
+
+def vehicle_of_bag(columns: BagColumns) -> StartVehicle:
+    """Return the vehicle of the recorded configuration of the controller.
+
+    Raises:
+        ValueError: The bag has none; the message names the remedy.
+    """
+    control = columns.configuration.get("controller", {})
+    if "chassis" not in control or "steering" not in control:
+        raise ValueError(
+            f"{columns.bag}: contains no configuration of a controller: name a start vehicle with "
+            f"--vehicle; `{NEW_CAR}` writes one"
+        )
+    where = f"{columns.bag}: controller/{topics.CONFIGURATION}"
+    sections = {key: dict(control[key]) for key in ("chassis", "steering")}
+    return StartVehicle(
+        where,
+        sections,
+        {},
+        build(ChassisParameters, sections["chassis"], where, "chassis"),
+        build(SteeringParameters, sections["steering"], where, "steering"),
+    )
+
+
+def read_recording(
+    bag: Path, namespace: str | None, vehicle: StartVehicle | None
+) -> tuple[RecordedDrive, StartVehicle, list[str]]:
+    """Read a drive from a bag.
+
+    Args:
+        bag: Folder, or MCAP file.
+        namespace: Namespace of the topics; None: that of the first steering command.
+        vehicle: Start vehicle; None: that of the bag.
+
+    Returns:
+        RecordedDrive in the units of the steering topics, start vehicle, and notes about the bag.
+
+    Raises:
+        ValueError: The bag cannot be read, contains no command, or no vehicle.
+    """
+    given = vehicle.steering if vehicle else ros.ROAD_WHEEL
+    columns = read_columns(bag, namespace, given)
+    if topics.STEERING_COMMAND not in columns.values:
+        name = f"{columns.namespace}/{topics.STEERING_COMMAND}"
+        raise ValueError(f"{bag}: holds no message on {name}: {NO_COMMAND}")
+    vehicle = vehicle or vehicle_of_bag(columns)
+    recorded = columns.configuration.get("controller", {}).get("steering")
+    recorded = recorded or columns.configuration.get("simulator", {}).get("vehicle", {}).get(
+        "steering"
+    )
+    interface = build(SteeringParameters, recorded, str(bag), "steering") if recorded else given
+    states = increasing(columns.values[topics.ODOM])
+    command = columns.values[topics.STEERING_COMMAND]
+    steering = columns.values.get(topics.STEERING_STATE, np.empty((0, 2)))
+
+    def position(rows: Array) -> Array:
+        return np.column_stack((rows[:, 0], interface.ratio * (rows[:, 1] - interface.offset)))
+
+    age = ages(bag, f"{columns.namespace}/{topics.ODOM}")
+    recording = recording_of(states[:, :7], position(command), position(steering), age)
+    return recording, vehicle, columns.notes
+
+
+def increasing(rows: Array) -> Array:
+    """Return rows of time and values whose times increase."""
+    return rows[np.diff(rows[:, 0], prepend=-np.inf) > 0]
+
+
+def ages(path: Path, topic: str) -> Array:
+    """Return arrival minus stamp of the messages of a topic [s]."""
+    with open_bag(path) as bag:
+        return np.array(
+            [
+                (message.log_time_ns - ros.nanoseconds(bag.decode(message).header.stamp))
+                / NANOSECONDS
+                for message in bag.messages({topic})
+            ]
+        )
