@@ -38,10 +38,10 @@ HEIGHT = 1.9
 
 def figures(result: Result) -> dict[str, Figure]:
     """Return the figures of a certificate by name."""
-    return {name: draw(result, panels) for name, panels in FIGURE_PANELS.items()}
+    return {name: draw_panels(result, panels) for name, panels in FIGURE_PANELS.items()}
 
 
-def draw(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> Figure:
+def draw_panels(result: Result, panels: Sequence[tuple[str, tuple[str, ...], str]]) -> Figure:
     """Return a figure over speed; a dashed line is a bound, a cross at the top a lost car."""
     checks = {check.bound.key: check for check in result.checks}
     figure, axes = stack([HEIGHT] * len(panels))

@@ -56,13 +56,13 @@ def lines(template: Template) -> Iterator[str]:
     for section, values in template.sections.items():
         yield f"\n{section}:"
         units = units_of(hints(Vehicle)[section])
-        yield from rows(section, values, units, template.estimated)
+        yield from key_lines(section, values, units, template.estimated)
     yield f"\n{ESTIMATED}:  # relative spread (95 %), but {', '.join(ABSOLUTE_SPREADS)}: s or rad"
     for key, spread in template.estimated.items():
         yield f"  {key}: {spread:g}"
 
 
-def rows(
+def key_lines(
     section: str,
     values: Mapping[str, Any],
     units: Mapping[str, str],

@@ -22,7 +22,7 @@ from ampc_ros.estimation.adaptation import (
     DIFFERENCES,
     FILTER_SIZE,
     GRADIENT,
-    LATENCY,
+    LATENCY_CHANGE,
     STIFFNESS,
     Adaptation,
     corrected,
@@ -445,4 +445,4 @@ def test_estimates_beyond_their_bounds_are_clipped_at_the_start() -> None:
     adaptation = Adaptation(made_for("ordinary")._replace(difference=difference))
     x = adaptation.x[DIFFERENCES]
     assert ((adaptation.lower <= x) & (x <= adaptation.upper)).all()
-    assert adaptation.P[LATENCY, LATENCY] > 0.0
+    assert adaptation.P[LATENCY_CHANGE, LATENCY_CHANGE] > 0.0

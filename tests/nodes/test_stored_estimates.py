@@ -9,7 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from ampc_ros.configuration import CarDifference, Choices, configuration
-from ampc_ros.estimation.adaptation import LATENCY
+from ampc_ros.estimation.adaptation import LATENCY_CHANGE
 from ampc_ros.estimation.stored_difference import (
     difference_file,
     read_difference,
@@ -67,7 +67,7 @@ def test_estimates_are_used_forgotten_and_stored_again(executor: SingleThreadedE
     assert read_difference(CONFIG) is None
 
     car.drive_on(20)
-    supervisor.adaptation.P[LATENCY, LATENCY] = 1e-6  # as after bends
+    supervisor.adaptation.P[LATENCY_CHANGE, LATENCY_CHANGE] = 1e-6  # as after bends
     car.controller.publish_final()
     stored = read_difference(CONFIG)
     assert stored is not None

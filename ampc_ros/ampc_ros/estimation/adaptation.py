@@ -25,17 +25,19 @@ from ampc_ros.estimation.state_prediction import CarModel, Motion, advance_car
 from ampc_ros.mpc.internal_model import LARGEST_LAG, SHORT_LAG
 from ampc_ros.mpc.model import BicycleParameters
 
-LATERAL_SPEED, YAW_SPEED, LATENCY, GRADIENT, OFFSET, STIFFNESS, YAW_ERROR, POINT = range(8)
+LATERAL_SPEED, YAW_SPEED, LATENCY_CHANGE, GRADIENT, STEERING_OFFSET, STIFFNESS, YAW_ERROR, POINT = (
+    range(8)
+)
 """Positions in the state of the filter: lateral velocity of the centre of gravity [m/s], yaw rate
 [rad/s], difference of the latency [s], difference of the understeer gradient [rad s^2/m], offset
 of the road-wheel angle [rad], logarithm of the ratio of the rear cornering stiffnesses, yaw
 acceleration beyond the model, as of wind [rad/s^2], distance of the measured point ahead of where
 it is configured [m]."""
 FILTER_SIZE = 8
-PARAMETERS_AT = (LATENCY, GRADIENT, OFFSET, STIFFNESS)
-DIFFERENCES = slice(LATENCY, STIFFNESS + 1)
+PARAMETERS_AT = (LATENCY_CHANGE, GRADIENT, STEERING_OFFSET, STIFFNESS)
+DIFFERENCES = slice(LATENCY_CHANGE, STIFFNESS + 1)
 
-SHORTEST_STEP, LONGEST_STEP = 0.09, 0.5
+SHORTEST_STEP, LONGEST_GAP = 0.09, 0.5
 """Time between two measurements of the yaw rate that are used [s]."""
 UNKNOWN_DEVIATION, STATED_DEVIATION = 0.06, 0.03
 """Standard deviation of a latency that is not stated, and of one that is [s]."""
@@ -117,9 +119,11 @@ def advance_joint(
     """
     changed = with_tyres(vehicle, x[GRADIENT], x[STIFFNESS])
     model = CarModel(changed, friction, sent.lag, 0.0, x[YAW_ERROR])
-    motion = Motion(0.0, 0.0, 0.0, v_x, x[LATERAL_SPEED], x[YAW_SPEED], sent.wheel + x[OFFSET])
+    motion = Motion(
+        0.0, 0.0, 0.0, v_x, x[LATERAL_SPEED], x[YAW_SPEED], sent.wheel + x[STEERING_OFFSET]
+    )
     for i in range(len(sent.commands)):
-        command = sent.commands[i, 0] + x[OFFSET]
+        command = sent.commands[i, 0] + x[STEERING_OFFSET]
         after = advance_car(model, motion, command, sent.commands[i, 1])
         motion = Motion(after[0], after[1], after[2], after[3], after[4], after[5], after[6])
     return motion.v_y, motion.yaw_rate
@@ -151,7 +155,7 @@ def linearize(
     for i in range(len(DIFFERENCE)):
         step = DIFFERENCE[i] * (m * l_r / (2 * C_f * (l_f + l_r)) if i == GRADIENT else 1.0)
         kept = x[i]
-        if i == LATENCY:
+        if i == LATENCY_CHANGE:
             after = advance_joint(vehicle, friction, v_x, x, Sent(*later))
         else:
             x[i] = kept + step
@@ -215,7 +219,9 @@ class Adaptation:
     @property
     def is_latency_known(self) -> bool:
         """Whether the car was driven enough for an estimate of its latency."""
-        return bool(self.P[LATENCY, LATENCY] < 0.5 * self.deviation[LATENCY] ** 2)
+        return bool(
+            self.P[LATENCY_CHANGE, LATENCY_CHANGE] < 0.5 * self.deviation[LATENCY_CHANGE] ** 2
+        )
 
     @property
     def adapted_car(self) -> AssumedCar:
@@ -240,7 +246,7 @@ class Adaptation:
         """Return the share of the state filter for a latency in use [s]."""
         if self.is_stated and latency == sum(self.car.response):
             return 0.0
-        uncertain = float(self.P[LATENCY, LATENCY]) / UNKNOWN_DEVIATION**2
+        uncertain = float(self.P[LATENCY_CHANGE, LATENCY_CHANGE]) / UNKNOWN_DEVIATION**2
         long = (latency - self.car.response.delay - SHORT_LAG) / (LONG_LAG - SHORT_LAG)
         return min(max(uncertain, long), 1.0)
 
@@ -262,7 +268,7 @@ class Adaptation:
         if 0.0 <= elapsed < SHORTEST_STEP:
             return
         fast = state.v_x * abs(state.yaw_rate) > self.most_acceleration
-        if not 0.0 < elapsed <= LONGEST_STEP or state.v_x < self.slowest or fast:
+        if not 0.0 < elapsed <= LONGEST_GAP or state.v_x < self.slowest or fast:
             self._start(state)
             return
         anchor, self.anchor = self.anchor, state
@@ -290,8 +296,10 @@ class Adaptation:
         F, v_x = np.eye(FILTER_SIZE), 0.5 * (anchor.v_x + state.v_x)
         times = anchor.stamp_ns, state.stamp_ns
         now, later = (
-            sent_between(commands, *times, lengthened(self.car.response, self.x[LATENCY] + more))
-            for more in (0.0, DIFFERENCE[LATENCY])
+            sent_between(
+                commands, *times, lengthened(self.car.response, self.x[LATENCY_CHANGE] + more)
+            )
+            for more in (0.0, DIFFERENCE[LATENCY_CHANGE])
         )
         motion = linearize(self.car.vehicle, self.friction, v_x, self.x, now, later, F)
         keep = F[YAW_ERROR, YAW_ERROR] = math.exp(-elapsed / YAW_ERROR_TIME)
@@ -334,7 +342,7 @@ class Adaptation:
         wanted = np.array([self._significant(i) for i in PARAMETERS_AT])
         self.used += np.minimum(elapsed / np.array(USE_TIME), 1.0) * (wanted - self.used)
         if not self.is_stated:
-            self.used[0] = x[LATENCY]
+            self.used[0] = x[LATENCY_CHANGE]
 
 
 def corrected(
