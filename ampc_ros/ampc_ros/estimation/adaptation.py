@@ -329,7 +329,8 @@ class Adaptation:
         # v_y at the measured point = v_y - (to_cg - point) r
         H[LATERAL_SPEED], H[YAW_SPEED], H[POINT] = 1.0, x[POINT] - self.to_cg, x[YAW_SPEED]
         residual = state.v_y - (x[LATERAL_SPEED] + (x[POINT] - self.to_cg) * x[YAW_SPEED])
-        if state.v_y != 0.0 and abs(residual) <= MOST_LATERAL:
+        is_stuck = state.v_y == anchor.v_y
+        if not is_stuck and abs(residual) <= MOST_LATERAL:
             self.noise[1] += share * (residual**2 - self.noise[1])
             x, P = corrected(x, P, H, residual, max(self.noise[1], LEAST_NOISE_LEVEL[1] ** 2))
         if not (np.isfinite(x).all() and np.isfinite(P).all()):

@@ -118,6 +118,7 @@ def largest(
         before = ordinary_road(road)
         drive(supervisor, before, build(scenario=before), to_cg, NANOSECONDS)
         supervisor.forget()
+        supervisor.restart(0.0)  # the next car starts with straight wheels
     test = lane_change(speed)
     return float(np.abs(drive(supervisor, test, build(scenario=test), to_cg, FAR)).max())
 

@@ -20,7 +20,7 @@ from ampc_msgs_config.scenarios.scenario import (
     load_scenario,
     speed_at,
 )
-from ampc_msgs_config.scenarios.wind import Wind
+from ampc_msgs_config.scenarios.wind import Wind, wind_of_steps
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices, Configuration
 from ampc_ros.estimation.adaptation import DIFFERENCES
@@ -42,6 +42,8 @@ RADII = (40.0, 60.0, 80.0, 120.0)
 """Radii of its bends [m]."""
 ORDINARY_SPEED, ORDINARY_ACCELERATION, BRAKING = 14.0, 2.5, 1.0
 """Largest speed [m/s], lateral and longitudinal acceleration of ordinary driving [m/s^2]."""
+BRAKING_ON_REQUEST = 2.0
+"""Deceleration of a driver who obeys a stop request [m/s^2]."""
 TRAINING = 60.0
 """Time of ordinary driving [s]."""
 
@@ -254,12 +256,10 @@ def _drive_hostile(
     frozen: tuple[float, float, str],
     rng: np.random.Generator,
 ) -> Hostile:
-    from ampc_msgs_config.scenarios.wind import wind_of_steps
-
     planner, along = SpeedPlanner(scenario), Progress(scenario.path)
     period_ns, last = round(supervisor.period * NANOSECONDS), None
     begin, end, kind = frozen
-    outside, steps = False, round(supervisor.period / 0.005)
+    outside, steps, slower = False, round(supervisor.period / 0.005), math.inf
     supervisor.take_path(scenario.points, NANOSECONDS, NANOSECONDS)
     for number in range(round(scenario.duration / supervisor.period)):
         t, now_ns = number * supervisor.period, NANOSECONDS + number * period_ns
@@ -280,9 +280,13 @@ def _drive_hostile(
         if adaptation:
             x = adaptation.x[DIFFERENCES]
             outside |= not bool(((adaptation.lower <= x) & (x <= adaptation.upper)).all())
+        wanted = planner.target_speed(true)
+        if supervisor.stop_requested:  # the driver obeys
+            slower = min(slower, true.v_x) - BRAKING_ON_REQUEST * supervisor.period
+            wanted = max(min(wanted, slower), 0.0)
         wind = wind_of_steps(scenario.wind, number * period_ns, period_ns // steps, steps)
         angle = supervisor.steering + math.radians(change.offset_deg)
-        car.advance(angle, planner.target_speed(true), wind)
+        car.advance(angle, wanted, wind)
     return Hostile(False, outside)
 
 
