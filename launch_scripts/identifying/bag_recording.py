@@ -17,6 +17,8 @@ from launch_scripts.bags.bag_columns import BagColumns, read_columns
 
 NO_COMMAND = "no command was recorded: record the topic, or rename it with --namespace"
 NEW_CAR = "python launch_scripts/new_car.py --mass KG --wheelbase M --output start.yaml"
+LONGEST_ANSWER = 0.5
+"""Largest plausible time from a state to its command [s]."""
 HEIGHT_SHARE = 0.2
 """Height of the centre of gravity, as a share of the wheelbase, where the file states none."""
 TRACK_SHARE = 0.57
@@ -124,8 +126,19 @@ def read_recording(
         return np.column_stack((rows[:, 0], interface.ratio * (rows[:, 1] - interface.offset)))
 
     age = ages(bag, f"{columns.namespace}/{topics.ODOM}")
-    recording = recording_of(states[:, :7], position(command), position(steering), age)
+    sent = position(command)
+    sent[:, 0] += time_to_answer(ages(bag, f"{columns.namespace}/{topics.STEERING_COMMAND}"))
+    recording = recording_of(states[:, :7], sent, position(steering), age)
     return recording, vehicle, columns.notes
+
+
+def time_to_answer(ages: Array) -> float:
+    """Return the median time from the stamp of a command, that of its state, to its sending [s].
+
+    The arrival at the recorder stands for the sending. Clocks that differ give no time: 0.
+    """
+    median = float(np.median(ages)) if len(ages) else 0.0
+    return median if 0.0 <= median <= LONGEST_ANSWER else 0.0
 
 
 def increasing(rows: Array) -> Array:

@@ -75,8 +75,8 @@ def notes_of(result: Identification) -> list[str]:
         median, spread, most = (1e3 * each for each in result.age)
         notes.append(
             f"Age of the odometry at its arrival: {median:.1f} ms (median), spread {spread:.1f} ms,"
-            f" 99 % below {most:.1f} ms. The delay is counted from the stamp of the command, "
-            "which is that of the state it answers: the delay contains the age."
+            f" 99 % below {most:.1f} ms. The delay is counted from the arrival of the command at "
+            "the recorder: the controller continues each state to the time of its command."
         )
     shares = "; ".join(f"{why}: {100 * s:.1f} %" for why, s in excitation.left_out.items())
     low, high = excitation.speed

@@ -18,6 +18,7 @@ from ampc_ros.controller import make_controller
 from ampc_ros.identification.recording import RecordedDrive
 from launch_scripts import start
 from launch_scripts.identify import main
+from launch_scripts.identifying.bag_recording import time_to_answer
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.html_pages import Elements, check_that_no_request_leaves
@@ -226,3 +227,13 @@ def test_a_drive_over_ros_is_identified_and_its_vehicle_file_drives(tmp_path: Pa
     end = np.array(driven.states[-1][1:3])
     assert np.hypot(*(end - road.points[-1])) < 5.0
     assert find("controllers", "identification").exists()
+
+
+@pytest.mark.parametrize(
+    ("ages", "expected"),
+    [([0.02, 0.01, 0.03], 0.02), ([], 0.0), ([0.0, 0.0], 0.0), ([5e8], 0.0), ([-0.1, -0.2], 0.0)],
+)
+def test_commands_count_from_their_sending_where_the_clocks_agree(
+    ages: list[float], expected: float
+) -> None:
+    assert time_to_answer(np.array(ages)) == expected
