@@ -53,6 +53,7 @@ ARGUMENTS = {
     "friction": ("-1.0", "friction of the road; -1: that of the tyres"),
     "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
+    "store_estimates": ("true", "start with the car's estimates of the last drive, in real time"),
     "lock_step": ("true", "simulated time advances only when every state is answered"),
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
@@ -68,7 +69,7 @@ FLOATS = (
     "time_out",
     "start_time_out",
 )
-SWITCHES = ("lock_step", "static_path", "require_certificate")
+SWITCHES = ("lock_step", "static_path", "require_certificate", "store_estimates")
 TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkeys(SWITCHES, bool)
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
@@ -83,6 +84,7 @@ CONTROL = (
     "base_link_to_cg",
     "fixed_frame",
     "require_certificate",
+    "store_estimates",
 )
 
 
@@ -93,8 +95,6 @@ def generate_launch_description() -> LaunchDescription:
         for name, (value, text) in ARGUMENTS.items()
     ]
     simulated = IfCondition(LaunchConfiguration("simulate"))
-    real = NotEqualsSubstitution(LaunchConfiguration("simulate"), "true")
-    stored = {"store_estimates": ParameterValue(real, value_type=bool)}
     recorded = NotEqualsSubstitution(LaunchConfiguration("output"), "")
     mode = parameters("lock_step") | {
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
@@ -103,7 +103,7 @@ def generate_launch_description() -> LaunchDescription:
     nodes = [
         node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated),
         node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
-        node("ampc_ros", "controller", mode | stored | parameters(*CONTROL)),
+        node("ampc_ros", "controller", mode | parameters(*CONTROL)),
         node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]
     together = [

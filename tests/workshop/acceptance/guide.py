@@ -63,9 +63,9 @@ def drive(folder: Path, control: dict[str, object], route: dict[str, object]) ->
 def errors_of(folder: Path) -> str:
     """Return RMS and largest cross-track error of a drive."""
     script("report", str(folder / "bag"), "--output", str(folder / "report.html"))
-    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-    found = metrics[0] if isinstance(metrics, list) else metrics
-    return f"RMS {found['rms']:.3f} m, largest {found['max']:.3f} m"
+    (found,) = json.loads((folder / "report.json").read_text(encoding="utf-8"))["drives"]
+    metrics = found["summary"]
+    return f"RMS {metrics['rms_cross_track_error']:.3f} m, largest {metrics['max_cross_track_error']:.3f} m"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
