@@ -21,7 +21,7 @@ from ampc_ros.nodes.controller_node import ControllerNode
 from tests.ros_nodes import add, spin_until
 from tests.waiting import SCALE
 
-CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 3.0, 0.05)])
+CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 5.6, 0.05)])
 LOST_ANSWER = 15.0 * SCALE
 """Wall time after which a service is called again [s]."""
 OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
@@ -109,7 +109,7 @@ class Driver(Node):
 
     def drive(self) -> VehicleState:
         """Publish the state on the circle at this time of the test, at 9 m/s."""
-        s = 9.0 * (self.now_ns - self.first_ns) / NANOSECONDS % 80.0
+        s = 9.0 * (self.now_ns - self.first_ns) / NANOSECONDS % 160.0
         x, y, yaw = 30.0 * np.sin(s / 30.0), 30.0 - 30.0 * np.cos(s / 30.0), s / 30.0
         state = VehicleState(self.now_ns, float(x), float(y), float(yaw), 9.0, 0.0, 0.3)
         self.odom.publish(ros.odometry_message(state))

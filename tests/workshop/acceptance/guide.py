@@ -65,7 +65,8 @@ def errors_of(folder: Path) -> str:
     script("report", str(folder / "bag"), "--output", str(folder / "report.html"))
     (found,) = json.loads((folder / "report.json").read_text(encoding="utf-8"))["drives"]
     metrics = found["summary"]
-    return f"RMS {metrics['rms_cross_track_error']:.3f} m, largest {metrics['max_cross_track_error']:.3f} m"
+    rms, most = (metrics[f"{name}_cross_track_error"] for name in ("rms", "max"))
+    return f"RMS {rms:.3f} m, largest {most:.3f} m"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
