@@ -45,7 +45,7 @@ GRADIENT_DEVIATION = 0.3
 """Standard deviation of the understeer gradient, as a share of the front axle's part of it."""
 OFFSET_DEVIATION = 0.015
 """Standard deviation of the offset [rad]."""
-YAW_ERROR_DEVIATION, YAW_ERROR_TIME = 0.12, 3.0
+YAW_ERROR_DEVIATION, YAW_ERROR_TIME = 0.03, 3.0
 """Standard deviation of the yaw acceleration beyond the model [rad/s^2], and its correlation time
 [s]: what lasts longer belongs to the offset."""
 STIFFNESS_DEVIATION = 0.3
@@ -54,7 +54,7 @@ POINT_DEVIATION = 0.5
 """Standard deviation of the measured point [m]."""
 MOTION_DEVIATION = (0.3, 0.1)
 """Standard deviation of lateral velocity [m/s] and yaw rate [rad/s] at a start."""
-WALK = (0.1, 0.02, 0.004, 0.002, 0.0003, 0.002, 0.0, 0.0)
+WALK = (0.02, 0.002, 0.004, 0.002, 0.0003, 0.002, 0.0, 0.0)
 """Random walk of the state in the square root of a second; that of the gradient as a share of the
 front axle's part of it."""
 LEAST_NOISE_LEVEL = (0.005, 0.015)
@@ -169,8 +169,9 @@ class Adaptation:
     """Extended Kalman filter of the single-track model with its parameters as further states.
 
     Ljung, "Asymptotic behavior of the extended Kalman filter as a parameter estimator for linear
-    systems", 1979. The only measurement is the yaw rate: every publisher has it, and it does not
-    depend on the point that odometry describes.
+    systems", 1979. The yaw rate does not depend on the point that odometry describes. The rear
+    cornering stiffness is corrected by the lateral velocity only: in closed loop, noise of the yaw
+    rate reaches the commands, and would be read as a stiffer tyre.
     """
 
     def __init__(self, config: Configuration) -> None:
@@ -199,16 +200,22 @@ class Adaptation:
         )
         self.most_acceleration = min(MOST_ACCELERATION, MOST_FRICTION * self.friction * GRAVITY)
         self.to_cg = config.base_link_to_cg
+        start = config.difference or CarDifference()
+        self.start: Array = np.clip(start, self.lower, self.upper)
+        """Differences from the configured car at the start."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was learnt since the start."""
         self.x: Array = np.zeros(FILTER_SIZE)
         """State of the filter."""
-        if config.difference is not None:
-            self.x[DIFFERENCES] = np.clip(config.difference, self.lower, self.upper)
+        self.x[DIFFERENCES] = self.start
         self.P: Array = np.diag(self.deviation**2)
         """Its covariance (FILTER_SIZE, FILTER_SIZE)."""
         self.noise: Array = np.square(START_NOISE)
         """Mean squares of the residuals of yaw rate and lateral velocity."""
         self.anchor: VehicleState | None = None
-        self.used: Array = np.array(config.difference or CarDifference())
+        self.used: Array = self.start.copy()
         """Differences from the configured car in use."""
 
     @property
@@ -325,7 +332,7 @@ class Adaptation:
         variance = (
             max(self.noise[0], LEAST_NOISE_LEVEL[0] ** 2) + (NOISE_SHARE * state.yaw_rate) ** 2
         )
-        x, P = corrected(x, P, H, residual, variance)
+        x, P = corrected(x, P, H, residual, variance, kept=(STIFFNESS,))
         # v_y at the measured point = v_y - (to_cg - point) r
         H[LATERAL_SPEED], H[YAW_SPEED], H[POINT] = 1.0, x[POINT] - self.to_cg, x[YAW_SPEED]
         residual = state.v_y - (x[LATERAL_SPEED] + (x[POINT] - self.to_cg) * x[YAW_SPEED])
@@ -347,7 +354,7 @@ class Adaptation:
 
 
 def corrected(
-    x: Array, P: Array, H: Array, residual: float, variance: float
+    x: Array, P: Array, H: Array, residual: float, variance: float, kept: tuple[int, ...] = ()
 ) -> tuple[Array, Array]:
     """Return state and covariance of a Kalman filter after a scalar measurement.
 
@@ -357,10 +364,15 @@ def corrected(
         H: Derivative of the measurement (n,).
         residual: Measurement less its prediction.
         variance: Of the measurement.
+        kept: Positions of the state that are not corrected: Schmidt-Kalman filter.
     """
     covariance = P @ H
-    gain = covariance / (H @ covariance + variance)
-    return x + gain * residual, P - np.outer(gain, covariance)
+    total = H @ covariance + variance
+    gain = covariance / total
+    for i in kept:
+        gain[i] = 0.0
+    cross = np.outer(gain, covariance)
+    return x + gain * residual, P - cross - cross.T + total * np.outer(gain, gain)
 
 
 def sent_between(

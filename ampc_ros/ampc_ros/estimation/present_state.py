@@ -85,8 +85,10 @@ class PresentState:
         if is_new and is_measured and self._adaptation:
             self._adaptation.observe(state, self.commands)
             self._use(self._adaptation.adapted_car)
-        if not is_measured:  # the slope of the heading replaces the yaw rate
-            self.freeze()
+        if not is_measured:  # the slope of the heading replaces a yaw rate that is wrong
+            if self._adaptation:  # and may have been wrong before
+                self._adaptation.reset()
+                self._use(self._adaptation.adapted_car)
             controller.distrust_noise()
         # The steady disturbance acts from the first answer on: an earlier one would feed back
         longest_ns = round(self._config.settings.state_prediction * NANOSECONDS)
