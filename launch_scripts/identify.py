@@ -19,8 +19,8 @@ from rich.text import Text
 from ampc_msgs_config.config import find
 from launch_scripts.reporting.pages import terminal_table
 
-WRONG = 2
-"""Exit code."""
+WRONG, STOPPED = 2, 130
+"""Exit codes."""
 TABLE_WIDTH = 100
 """Smallest width of the printed tables [characters]."""
 
@@ -49,6 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
+    except KeyboardInterrupt:
+        console.print("interrupted: the results are incomplete")
+        return STOPPED
     return 0
 
 
@@ -91,9 +94,11 @@ def identify_bag(options: argparse.Namespace, console: Console, command: str) ->
     from launch_scripts.identifying.files import write_json, write_vehicle
     from launch_scripts.identifying.page import identification_page
     from launch_scripts.identifying.tables import notes_of, quantity_rows, unknown_rows
+    from launch_scripts.run.options import create_folder, naming
 
     folder = options.output or options.bag.resolve().parent
-    folder.mkdir(parents=True, exist_ok=True)
+    with naming("output"):
+        create_folder(folder, exist_ok=True)
     files = [folder / name for name in ("identified.yaml", "identified.json", "identified.html")]
     write_vehicle(files[0], result, vehicle, f"Written by {command}")
     write_json(files[1], result, vehicle, options.bag)

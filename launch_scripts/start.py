@@ -128,6 +128,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     control["store_estimates"] = False
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
+    plant["vehicle"] = options["true_vehicle"] or options["vehicle"]
     record = {"output": str(run.bag), "use_sim_time": lock_step}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
     renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTED} if options["faults"] else {}

@@ -19,6 +19,13 @@ NO_COMMAND = "no command was recorded: record the topic, or rename it with --nam
 NEW_CAR = "python launch_scripts/new_car.py --mass KG --wheelbase M --output start.yaml"
 LONGEST_ANSWER = 0.5
 """Largest plausible time from a state to its command [s]."""
+CHECK_STEP, MOST_CHECKS, LEAST_CHECKS = 0.5, 1_000_000, 10
+"""Step of the checks of consistency [s], largest and smallest number of steps."""
+CHECK_SPEED, LARGEST_MOVE, MOST_RATIO, LEAST_CORRELATION = 1.0, 50.0, 1.2, 0.6
+"""Speed from which speeds are compared [m/s], largest move in a step [m], largest ratio of the
+speeds, and correlation of angles that counts."""
+LAG_STEP, LAGS = 0.1, 7
+"""Step [s] and number of the delays of a response."""
 HEIGHT_SHARE = 0.2
 """Height of the centre of gravity, as a share of the wheelbase, where the file states none."""
 TRACK_SHARE = 0.57
@@ -125,6 +132,7 @@ def read_recording(
     def position(rows: Array) -> Array:
         return np.column_stack((rows[:, 0], interface.ratio * (rows[:, 1] - interface.offset)))
 
+    check_consistency(bag, states, command, steering)
     age = ages(bag, f"{columns.namespace}/{topics.ODOM}")
     sent = position(command)
     sent[:, 0] += time_to_answer(ages(bag, f"{columns.namespace}/{topics.STEERING_COMMAND}"))
@@ -139,6 +147,54 @@ def time_to_answer(ages: Array) -> float:
     """
     median = float(np.median(ages)) if len(ages) else 0.0
     return median if 0.0 <= median <= LONGEST_ANSWER else 0.0
+
+
+def check_consistency(bag: Path, states: Array, command: Array, steering: Array) -> None:
+    """Check that odometry, commands and measured steering describe one motion.
+
+    Args:
+        bag: For the message.
+        states: (n, >= 7) time, x, y, yaw, v_x, v_y, yaw rate.
+        command: (m, >= 2) time and angle.
+        steering: (k, >= 2) time and measured angle.
+
+    Raises:
+        ValueError: The speed is not that of the position, or angles turn the other way.
+    """
+    where = f"{bag}: odom: twist.linear.x"
+    grid = np.arange(states[0, 0], states[-1, 0], CHECK_STEP) if len(states) else np.empty(0)
+    if len(grid) < 2 or len(grid) > MOST_CHECKS:
+        return
+    x, y, v_x = (np.interp(grid, states[:, 0], states[:, i]) for i in (1, 2, 4))
+    moved, meant = np.hypot(np.diff(x), np.diff(y)), CHECK_STEP * v_x[:-1]
+    fast = (np.abs(v_x[:-1]) > CHECK_SPEED) & (moved < LARGEST_MOVE)
+    if fast.sum() >= LEAST_CHECKS:
+        ratio = float(np.median(np.abs(meant[fast]) / np.maximum(moved[fast], 1e-3)))
+        if not 1 / MOST_RATIO <= ratio <= MOST_RATIO:
+            raise ValueError(f"{where} is {ratio:.3g} times the speed of the position, in m/s?")
+    fine = np.arange(states[0, 0], states[-1, 0], LAG_STEP)
+    angle = np.interp(fine, command[:, 0], command[:, 1])
+    if len(steering):
+        measured = np.interp(fine, steering[:, 0], steering[:, 1])
+        if is_opposite(angle, measured):
+            raise ValueError(f"{bag}: steering_state has the opposite sign of steering_command")
+    v_x, yaw_rate = (np.interp(fine, states[:, 0], states[:, i]) for i in (4, 6))
+    is_fast = np.abs(v_x) > CHECK_SPEED
+    turning = np.where(is_fast, yaw_rate / np.where(is_fast, v_x, 1.0), 0.0)
+    if is_opposite(angle, turning):
+        raise ValueError(f"{bag}: the car turns against steering_command: left must be positive")
+
+
+def is_opposite(command: Array, response: Array) -> bool:
+    """Return whether a response follows its command, after at most 0.6 s, with the other sign."""
+    found = [correlation(command[: len(command) - k], response[k:]) for k in range(LAGS)]
+    return -min(found) > max(LEAST_CORRELATION, 1.3 * max(found))
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Return the correlation of two signals; 0 if one is constant."""
+    is_constant = len(a) < LEAST_CHECKS or np.ptp(a) == 0.0 or np.ptp(b) == 0.0
+    return 0.0 if is_constant else float(np.corrcoef(a, b)[0, 1])
 
 
 def increasing(rows: Array) -> Array:

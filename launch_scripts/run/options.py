@@ -83,6 +83,8 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     add("--seed", 0, "seed of the noise", type=int)
     text = "fault injection between simulator and controller, in real time; default: none"
     add("--faults", "", text, "faults")
+    text = "vehicle of the simulated car, where it differs from that of the controller"
+    add("--true-vehicle", "", text)
     text = "reject a gain table without a valid certificate"
     add("--require-certificate", False, text, action="store_true")
     add("--real-time", False, "run freely instead of in lock-step", action="store_true")
@@ -176,7 +178,14 @@ def prepare_run(options: argparse.Namespace) -> Run:
         load_faults(options.faults)
     vehicle = load_vehicle_file(find("vehicles", options.vehicle))
     label = controller_label(options.controller)
+    if options.true_vehicle:
+        load_vehicle_file(find("vehicles", options.true_vehicle))
     if options.manoeuvre:
+        default = Route()
+        for key in Route._fields:
+            if getattr(options, key) != getattr(default, key):
+                name = key.replace("_", "-")
+                raise ValueError(f"--{name}: the manoeuvre has its own path and speed")
         folder = options.output or Path("runs") / run_name(options.manoeuvre, label)
         create_folder(folder, exist_ok=False)
         options.path = str(folder / MANOEUVRE_FILE)

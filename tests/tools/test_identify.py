@@ -18,7 +18,11 @@ from ampc_ros.controller import make_controller
 from ampc_ros.identification.recording import RecordedDrive
 from launch_scripts import start
 from launch_scripts.identify import main
-from launch_scripts.identifying.bag_recording import time_to_answer
+from launch_scripts.identifying.bag_recording import (
+    check_consistency,
+    is_opposite,
+    time_to_answer,
+)
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.html_pages import Elements, check_that_no_request_leaves
@@ -237,3 +241,34 @@ def test_commands_count_from_their_sending_where_the_clocks_agree(
     ages: list[float], expected: float
 ) -> None:
     assert time_to_answer(np.array(ages)) == expected
+
+
+def test_a_response_with_the_other_sign_is_recognised_at_any_latency() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    command = 0.05 * np.sin(0.5 * t) + 0.03 * np.sin(3.0 * t) + 0.02 * np.sign(np.sin(0.2 * t))
+    for delay in (0, 2, 4):
+        response = np.roll(command, delay)
+        assert not is_opposite(command, response)
+        assert is_opposite(command, -response)
+    assert not is_opposite(command, np.zeros(len(t)))
+    assert not is_opposite(0.05 * np.sin(7.5 * t), 0.05 * np.sin(7.5 * (t - 0.42)))
+
+
+@pytest.mark.parametrize(
+    ("speed", "sign", "reason"),
+    [(3.6, 1.0, "times the speed of the position"), (1.0, -1.0, "turns against steering_command")],
+)
+def test_odometry_that_contradicts_itself_or_the_commands_is_refused(
+    speed: float, sign: float, reason: str
+) -> None:
+    t = np.arange(0.0, 40.0, 0.02)
+    yaw = np.sin(0.7 * t)
+    x, y = (np.cumsum(5.0 * 0.02 * f(yaw)) for f in (np.cos, np.sin))
+    yaw_rate = 0.7 * np.cos(0.7 * t)
+    states = np.column_stack((t, x, y, yaw, np.full(len(t), 5.0 * speed), 0.0 * t, yaw_rate))
+    command = np.column_stack((t, sign * yaw_rate))
+    nothing = np.empty((0, 2))
+    with pytest.raises(ValueError, match=reason):
+        check_consistency(Path("bag"), states, command, nothing)
+    states[:, 4], command[:, 1] = 5.0, yaw_rate
+    check_consistency(Path("bag"), states, command, nothing)
