@@ -16,7 +16,7 @@ from std_msgs.msg import Float64
 from ampc_msgs_config.recording.bag_writer import Recording
 from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.bag_columns import read_columns
-from launch_scripts.bags.salvage import MAGIC
+from launch_scripts.bags.resync import MAGIC
 from tests.bag_samples import is_complete, read
 from tests.foreign_bags import Sent, write_file
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import yaml
 
+from ampc_msgs_config import config
+
 VERSION = 9
 ROS_DISTRO = "jazzy"
 ROOT_KEY = "rosbag2_bagfile_information"
@@ -115,11 +117,10 @@ def write_metadata(
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the content of `metadata.yaml`, empty if it is missing or damaged."""
+    """Return the content of `metadata.yaml`, empty if it is missing, damaged or beyond limits."""
     try:
-        content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
-        return dict(content[ROOT_KEY])
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
+        return dict(config.read(folder / FILE_NAME)[ROOT_KEY])
+    except (ValueError, TypeError, KeyError):
         return {}
 
 
