@@ -51,6 +51,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("bag", type=Path, help="folder of a bag, or one MCAP file")
     add("--namespace", help="namespace of the topics, such as /car1; default: of the first command")
+    add("--odom", metavar="TOPIC", help="odometry that the controller used; default: odom")
     add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")
     add("--controller", help=f"another controller: {', '.join(CONTROLLERS)}, or FILE.py:CLASS")
     add("--gain-table", help=f"other gains: YAML file, or {', '.join(shipped('gains'))}")
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         changes += [with_gains(options.gain_table)] if options.gain_table else []
         changes += [with_value(text) for text in options.set]
         begin = time.perf_counter()
-        run = read_run(options.bag, options.namespace)
+        run = read_run(options.bag, options.namespace, options.odom)
         reading = time.perf_counter() - begin
         configs, notes = run.config, run.notes
         if not configs:

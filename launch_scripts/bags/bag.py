@@ -56,7 +56,7 @@ class BagFile(NamedTuple):
     is_complete: bool
     """Whether the writer closed the file, and nothing in it was left out."""
     faults: list[str]
-    """What is missing or doubtful, one sentence each."""
+    """What is damaged or doubtful, one line each."""
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics in the order of their log times."""
@@ -80,7 +80,7 @@ class Bag(NamedTuple):
 
     @property
     def faults(self) -> list[str]:
-        """What is missing or doubtful, one sentence each."""
+        """What is damaged or doubtful, one line each."""
         return [fault for file in self.files for fault in file.faults]
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
@@ -202,7 +202,7 @@ def open_file(file: Path, stack: ExitStack) -> BagFile:
     check_format(file)
     with damage_in_one_line(file):
         stream, fault = stack.enter_context(open_decompressed(file))
-        faults = [f"{file.name}: {fault}."] if fault else []
+        faults = [f"{file}: {fault}"] if fault else []
         is_complete, index = is_closed(stream) and not fault, read_index(stream)
         if not (is_complete and index and is_full_index(index) and is_readable(stream, index)):
             copy = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (the stack closes it)
@@ -239,11 +239,15 @@ def open_decompressed(file: Path) -> Iterator[tuple[IO[bytes], str]]:
 
 
 def damage_of(file: Path, result: Salvage) -> list[str]:
-    """Return one sentence for damage in a file, and one for messages that are doubtful."""
-    places = f"{file.name}: {result.damaged} damaged chunks or records"
-    doubtful = f"{file.name}: {result.doubtful} messages come from damaged chunks and may be wrong"
-    lines = [f"{places}, {result.damaged_bytes} bytes."] if result.damaged else []
-    return lines + ([f"{doubtful}."] if result.doubtful else [])
+    """Return one line for damage in a file, and one for messages that are kept and doubtful."""
+    lines = []
+    if result.damaged:
+        lines.append(
+            f"{file}: {result.damaged} damaged chunks or records, {result.damaged_bytes} bytes"
+        )
+    if result.doubtful:
+        lines.append(f"{file}: {result.doubtful} messages beside the damage are kept: may be wrong")
+    return lines
 
 
 def is_readable(stream: IO[bytes], index: Summary) -> bool:

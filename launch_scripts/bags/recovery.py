@@ -21,7 +21,7 @@ from ampc_msgs_config.recording.bag_metadata import (
     write_metadata,
 )
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import bag_files, check_format, open_decompressed, reason_of
+from launch_scripts.bags.bag import bag_files, check_format, damage_of, open_decompressed, reason_of
 from launch_scripts.bags.salvage import Salvage, salvage
 
 LONG_SILENCE = NANOSECONDS
@@ -76,7 +76,7 @@ def recover(bag: Path, output: Path) -> list[str]:
                 (output / name).unlink()
                 lines.append(f"{file}: nothing can be read: {reason_of(error)}")
         if not new:
-            raise ValueError(lines[-1])
+            raise ValueError("; ".join(lines))
         salvages = list(new.values())
         extents = {name: extent_of(each.index) for name, each in new.items()}
         topics, old = topics_of(salvages), read_metadata(bag)
@@ -162,12 +162,7 @@ def losses(file: Path, result: Salvage) -> list[str]:
         lines.append(f"{file}: only the index was missing")
     elif result.index_damaged:
         lines.append(f"{file}: the index was damaged")
-    if result.damaged:
-        lines.append(
-            f"{file}: {result.damaged} damaged chunks or records, {result.damaged_bytes} bytes: "
-            f"{result.doubtful} messages from damaged chunks are kept and may be wrong"
-        )
-    return lines
+    return lines + damage_of(file, result)
 
 
 def silent_topics(salvages: Sequence[Salvage], topics: dict[str, Topic]) -> list[str]:

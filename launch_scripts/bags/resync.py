@@ -109,7 +109,7 @@ class Record(NamedTuple):
     is_whole: bool
     """Whether the file contains all of it."""
     is_right: bool = True
-    """Whether a chunk without compression agrees with its checksum, or has none."""
+    """False: a damage follows, or a chunk without compression contradicts its checksum."""
     chunk: ChunkHead | None = None
     """Of a chunk: its start; None if that is damaged."""
 
@@ -175,7 +175,8 @@ class Scanner:
             return Record(opcode, content, position, self.size - position, is_whole=False)
         if not is_checked and not self.ends_well(opcode, start, end):
             return None
-        return Record(opcode, self.read(start, length), position, end - position, is_whole=True)
+        is_right = is_checked or self.can_continue(end)
+        return Record(opcode, self.read(start, length), position, end - position, True, is_right)
 
     def ends_well(self, opcode: int, start: int, end: int) -> bool:
         """Return whether no other record begins inside a record whose length may be damaged.

@@ -21,7 +21,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
@@ -47,6 +47,7 @@ DAMAGE = (
 """Errors that the libraries raise on damaged bytes."""
 INSIDE = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 """Records that a chunk may contain."""
+DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 PROFILES = ("", "ros1", "ros2")
 FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)
 """Length of the end of a file, from the footer on [bytes]."""
@@ -75,7 +76,7 @@ class Salvage:
     damaged_bytes: int = 0
     """Length of the damaged places, records and chunks [bytes]."""
     doubtful: int = 0
-    """Number of messages kept from chunks that are damaged: their content may be wrong."""
+    """Number of messages kept from damaged chunks, or in front of a damage: they may be wrong."""
 
     @property
     def is_undamaged(self) -> bool:
@@ -144,16 +145,20 @@ def read_index(source: IO[bytes]) -> Summary | None:
     """Return the summary at the end of a file, empty if there is none; None: it is damaged."""
     position = source.tell()
     try:
+        if not is_closed(source):
+            return None
         footer = source.seek(-FOOTER_SIZE, 2)
-        (start, _, crc) = struct.unpack_from("<QQI", source.read(FOOTER_SIZE), HEAD.size)
+        opcode, _, start, _, crc = struct.unpack_from("<BQQQI", source.read(FOOTER_SIZE))
+        if opcode != Opcode.FOOTER or start > footer:
+            return None
         if crc:  # covers the summary, and the footer up to the checksum
             source.seek(start)
             content = source.read(min(footer + HEAD.size + 16 - start, MAX_RECORD_LENGTH))
             if zlib.crc32(content) != crc:
                 return None
         source.seek(0)
-        return make_reader(source).get_summary() or Summary()
-    except (*DAMAGE, OSError):
+        return SeekingReader(source, record_size_limit=MAX_RECORD_LENGTH).get_summary() or Summary()
+    except (*DAMAGE, OSError, MemoryError):
         return None
     finally:
         source.seek(position)
@@ -167,16 +172,15 @@ def add_definitions(source: IO[bytes], known: Summary) -> None:
         if record.opcode == Opcode.CHUNK and record.content:
             parts = list(inner_records(copier.content_of(record)[0]))
         for part in parts:
-            try:
-                stream = ReadDataStream(io.BytesIO(part.content))
-                if part.opcode == Opcode.SCHEMA and part.is_whole:
-                    schema = Schema.read(stream)
-                    known.schemas.setdefault(schema.id, schema)
-                elif part.opcode == Opcode.CHANNEL and part.is_whole:
-                    channel = Channel.read(stream)
-                    known.channels.setdefault(channel.id, channel)
-            except DAMAGE:
+            stream = ReadDataStream(io.BytesIO(part.content))
+            if part.opcode not in DEFINITIONS or not is_consistent(part.opcode, part.content):
                 continue
+            if part.opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                known.schemas.setdefault(schema.id, schema)
+            else:
+                channel = Channel.read(stream)
+                known.channels.setdefault(channel.id, channel)
 
 
 def inner_records(content: bytes) -> Iterator[Record]:
@@ -247,7 +251,8 @@ class Copier:
             self.begin_chunk(record)
         elif record.is_whole and record.opcode:
             result.reached_end |= record.opcode == Opcode.DATA_END
-            result.doubtful += self.copy_or_count(record) and record.position < self.doubtful_until
+            is_doubtful = record.position < self.doubtful_until or not record.is_right
+            result.doubtful += self.copy_or_count(record) and is_doubtful
         elif record.is_whole:
             result.damage(record.size)
         else:
@@ -324,6 +329,8 @@ class Copier:
             self.start(header.profile, header.library)
             return
         self.start("ros2", "")
+        if record.opcode in DEFINITIONS and not is_consistent(record.opcode, record.content):
+            raise ValueError("damaged definition")
         if record.opcode == Opcode.MESSAGE:
             self.copy_message(record.content)
         elif record.opcode == Opcode.SCHEMA:

@@ -1,7 +1,7 @@
 """Recorded inputs and results of a controller, tick by tick, from a bag."""
 
 from bisect import bisect_right
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from ampc_msgs_config.config import parse
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import open_bag
-from launch_scripts.bags.bag_columns import namespace_of
+from launch_scripts.bags.bag_columns import INCOMPLETE, selected
 
 CONTROLLER, SIMULATOR = (f"{node}/{topics.CONFIGURATION}" for node in ("controller", "simulator"))
 INPUTS = (
@@ -93,12 +93,13 @@ class Answer(NamedTuple):
     values: dict[str, float]
 
 
-def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
+def read_run(bag: File, namespace: str | None = None, odom: str | None = None) -> RecordedRun:
     """Read a run from a bag.
 
     Args:
         bag: Folder of the bag, or one MCAP file.
         namespace: Namespace of the topics, such as `/car1`; None: that of the first command.
+        odom: Topic of the odometry; None: `odom` in the namespace.
 
     Raises:
         ValueError: Required messages are missing; with bag and topic.
@@ -106,12 +107,17 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
     states, paths, texts = StampIndex(), StampIndex(), defaultdict[str, list[str]](list)
     answers: dict[str, list[Answer]] = {topics.TICK: [], topics.STEERING_COMMAND: []}
     with open_bag(bag) as opened:
-        prefix = namespace_of(opened) if namespace is None else namespace.rstrip("/")
+        notes = [] if opened.is_complete else [INCOMPLETE, *opened.faults]
+        prefix, odometry = selected(opened, namespace, odom)
         heard = {f"{prefix}/{name}": name for name in INPUTS}
         for name in INPUTS:
             if (faulty := f"{prefix}/{topics.FAULTY}{name}") in opened.topics:
                 del heard[f"{prefix}/{name}"]
                 heard[faulty] = name
+        if odom:
+            heard = {topic: name for topic, name in heard.items() if name != topics.ODOM}
+            heard[odometry] = topics.ODOM
+        rejected = Counter[str]()
         for position, serialised in enumerate(opened.messages(heard)):
             name = heard[serialised.topic]
             try:
@@ -131,12 +137,12 @@ def read_run(bag: File, namespace: str | None = None) -> RecordedRun:
                 else:
                     values = {"steering": ros.steering_angle(message).value, **NO_AGES}
                     answers[name].append(Answer(position, stamp_ns, values))
-            except ValueError:
-                continue  # the controller must have rejected it, too
+            except ValueError:  # the controller must have rejected it, too
+                rejected[serialised.topic] += 1
     if not paths.by_stamp:
         (topic,) = (topic for topic, name in heard.items() if name == topics.REFERENCE_PATH)
         raise ValueError(f"{bag}: holds no message on {topic}")
-    notes = []
+    notes += [f"{topic}: {n} messages cannot be used" for topic, n in rejected.items()]
     if not answers[topics.TICK]:
         notes.append("no controller/tick: read as a drive in lock-step, in which no input is late")
     messages, ticks = answers[topics.TICK] or answers[topics.STEERING_COMMAND], []
