@@ -36,6 +36,8 @@ MAX_PREDICTIONS = 1000
 ODOMETRY = "nav_msgs/msg/Odometry"
 FIRST_STAMP = 10 * NANOSECONDS
 """A clock that starts at 0 has stamps below this; otherwise a stamp of 0 was never set [ns]."""
+LARGEST_VALUE = 1e12
+"""Largest value of a message; a larger one is damaged."""
 INCOMPLETE = "The bag was not closed or is damaged: a part may be missing."
 Stamps = NDArray[np.int64]
 
@@ -258,21 +260,43 @@ class Collector:
             if message.name != self.tick_names or len(message.position) != len(self.tick_names):
                 raise ValueError("its quantities are not those of the first message")
         if name in UNPACK:
-            column.add(log_time_ns, *UNPACK[name](message))
+            stamp_ns, *values = UNPACK[name](message)
+            check_size(values, allow_nan=name == topics.TICK)
+            column.add(log_time_ns, stamp_ns, *values)
         elif name == topics.REFERENCE_PATH:
             points = path_array(message)
+            check_size(points)
             if not self.paths or not np.array_equal(points, self.paths[-1][1]):
                 self.paths.append((log_time_ns, points))
                 column.add(log_time_ns, 0, float(len(points)))
         elif name in topics.CONFIGURATIONS:
             self.texts[name.partition("/")[0]] = message.data
         else:  # Bool and Float64
+            check_size([message.data], allow_nan=True)
             column.add(log_time_ns, 0, float(message.data))
 
 
 def path_array(message: Any) -> Array:
     """Return the positions of a path (n, 2) [m]."""
     return np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
+
+
+def check_size(values: Any, *, allow_nan: bool = False) -> None:
+    """Check that values are not those of a damaged message.
+
+    Args:
+        values: Numbers of a message, in its units.
+        allow_nan: Whether numbers may be nan or infinite, which means that there is none.
+
+    Raises:
+        ValueError: A number is not finite, or its size is beyond the limit.
+    """
+    numbers = np.asarray(values, dtype=float)
+    finite = np.isfinite(numbers)
+    if not (allow_nan or finite.all()):
+        raise ValueError("a value is not finite")
+    if np.abs(numbers[finite]).max(initial=0.0) > LARGEST_VALUE:
+        raise ValueError(f"a value is beyond {LARGEST_VALUE:g}")
 
 
 def arrange(collector: Collector, notes: list[str]) -> BagColumns:
@@ -323,7 +347,9 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
         try:
             message = collector.bag.decode(serialised)
             stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
-            predictions.append(Sample(float(seconds(stamp_ns)), path_array(message)))
+            points = path_array(message)
+            check_size(points)
+            predictions.append(Sample(float(seconds(stamp_ns)), points))
         except ValueError as error:
             rejected.reject(str(error))
     rejected.rows(f"{namespace}/{topics.PREDICTED_PATH}", notes)

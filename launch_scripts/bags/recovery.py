@@ -11,12 +11,12 @@ from mcap.summary import Summary
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from ampc_msgs_config.config import MAX_YAML_BYTES, parse
+from ampc_msgs_config.config import MAX_YAML_BYTES, parse, read
 from ampc_msgs_config.recording.bag_metadata import (
     FILE_NAME,
+    ROOT_KEY,
     Extent,
     Topic,
-    read_metadata,
     total_of,
     write_metadata,
 )
@@ -95,6 +95,14 @@ def recover(bag: Path, output: Path) -> list[str]:
         shutil.rmtree(output, ignore_errors=True)
         raise
     return [*lines, *silent_topics(salvages, topics), f"{output}: recovered: {size}"]
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return the content of `metadata.yaml`, empty if it is missing, damaged or beyond limits."""
+    try:
+        return dict(read(folder / FILE_NAME)[ROOT_KEY])
+    except (ValueError, TypeError, KeyError):
+        return {}
 
 
 def extent_of(index: Summary) -> Extent:

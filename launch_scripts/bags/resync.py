@@ -312,7 +312,7 @@ def is_consistent(opcode: int, content: bytes) -> bool:
     """Return whether all lengths inside a record agree with its length, and it is not empty."""
     if opcode == Opcode.MESSAGE_INDEX:
         (size,) = struct.unpack_from("<I", content, 2)
-        return 0 < size == len(content) - 6 and size % 16 == 0
+        return bool(0 < size == len(content) - 6 and size % 16 == 0)
     if opcode not in PARSERS:  # length fixed, and checked before
         return opcode in LENGTHS
     stream = ReadDataStream(io.BytesIO(content))

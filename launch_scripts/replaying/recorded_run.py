@@ -9,7 +9,7 @@ import numpy as np
 
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import parse
-from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.bag_columns import INCOMPLETE, selected
@@ -23,6 +23,9 @@ INPUTS = (
     CONTROLLER,
     SIMULATOR,
 )
+LARGEST_AGE = 1e9
+"""Largest age of an input in a tick [s]; a larger one is damaged."""
+LARGEST_COUNT = 2**53
 NO_AGES = {"state_age": 0.0, "state_silence": 0.0, "path_age": 0.0, "path_silence": 0.0}
 """Ages in a bag without tick records: a drive in lock-step, in which no input is late."""
 
@@ -93,6 +96,23 @@ class Answer(NamedTuple):
     values: dict[str, float]
 
 
+def check_tick(values: dict[str, float]) -> None:
+    """Check that a tick can be repeated.
+
+    Raises:
+        ValueError: A quantity is missing or out of range.
+    """
+    if missing := {"steering", *NO_AGES} - values.keys():
+        raise ValueError(f"the tick has no {', '.join(sorted(missing))}")
+    for name, count in {"rung": len(RUNGS), "reason": len(REASONS)}.items():
+        if name in values and not 0 <= values[name] < count:
+            raise ValueError(f"the tick has {name} {values[name]}")
+    if not all(abs(values[name]) < LARGEST_AGE for name in ("steering", *NO_AGES)):
+        raise ValueError("an age or angle of the tick is out of range")
+    if not 0 <= values.get("resets", 0.0) < LARGEST_COUNT:
+        raise ValueError("the tick has a wrong number of resets")
+
+
 def read_run(bag: File, namespace: str | None = None, odom: str | None = None) -> RecordedRun:
     """Read a run from a bag.
 
@@ -133,6 +153,7 @@ def read_run(bag: File, namespace: str | None = None, odom: str | None = None) -
                     paths.by_stamp[stamp_ns].append((position, RecordedPath(stamp_ns, points)))
                 elif name == topics.TICK:
                     values = dict(zip(message.name, message.position, strict=True))
+                    check_tick(values)
                     answers[name].append(Answer(position, stamp_ns, values))
                 else:
                     values = {"steering": ros.steering_angle(message).value, **NO_AGES}
@@ -155,8 +176,24 @@ def read_run(bag: File, namespace: str | None = None, odom: str | None = None) -
         raise ValueError(f"{bag}: holds no command that answers a recorded state")
     if len(ticks) < len(messages):
         notes.append(f"{len(messages) - len(ticks)} ticks answer a state that is not in the bag")
-    config = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts[CONTROLLER]]
+    config, faults = [], list[ValueError]()
+    for text in texts[CONTROLLER]:
+        try:
+            config.append(from_yaml(text, f"{bag}: {CONTROLLER}"))
+        except ValueError as error:
+            faults.append(error)
+    if faults and not config:
+        raise faults[0]
+    notes += [f"left out: {fault}" for fault in faults]
     version = str(parse(texts[CONTROLLER][0], "").get("version", "")) if config else ""
     simulator = "".join(texts[SIMULATOR][-1:])
     by_number = {number: each for each, number in config}
+    count = len(ticks)
+    if by_number:
+        default = float(min(by_number))
+        ticks = [tick for tick in ticks if tick.values.get("configuration", default) in by_number]
+    if len(ticks) < count:
+        notes.append(f"{count - len(ticks)} ticks refer to a configuration that is not in the bag")
+    if not ticks:
+        raise ValueError(f"{bag}: holds no tick whose configuration is in the bag")
     return RecordedRun(bag, ticks, by_number, version, simulator, notes)

@@ -1,7 +1,6 @@
 """Base of the nodes: parameters with ranges, diagnostics, and an orderly shutdown."""
 
 import gc
-import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -23,6 +22,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.signals import handle_ending_signals
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -183,10 +183,9 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
         if not created and len(signals) == 1:
             raise KeyboardInterrupt  # may be swallowed during compilation
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
     name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
     try:
+        handle_ending_signals(on_signal)
         try:
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:

@@ -9,8 +9,6 @@ from typing import Any
 
 import yaml
 
-from ampc_msgs_config import config
-
 VERSION = 9
 ROS_DISTRO = "jazzy"
 ROOT_KEY = "rosbag2_bagfile_information"
@@ -114,14 +112,6 @@ def write_metadata(
     except OSError:
         draft.unlink(missing_ok=True)
         raise
-
-
-def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the content of `metadata.yaml`, empty if it is missing, damaged or beyond limits."""
-    try:
-        return dict(config.read(folder / FILE_NAME)[ROOT_KEY])
-    except (ValueError, TypeError, KeyError):
-        return {}
 
 
 def to_block_yaml(content: Any) -> str:

@@ -12,7 +12,7 @@ A message is intact if it can be read from undamaged bytes alone:
 import io
 import random
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import lz4.frame
@@ -26,11 +26,12 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
-Origin = NDArray[np.int64]
+Origin = NDArray[Any]
 """Position in the undamaged file of each byte of a damaged one; -1: altered or inserted."""
 KINDS = ("flip", "zeros", "cut", "removed", "duplicated", "inserted")
 """Kinds of damage: `flip` is 1 to 64 bits at one place, the others are ranges of bytes."""
 PLACES = ("record head", "chunk head", "chunk data", "message", "index", "footer", "anywhere")
+MESSAGE = struct.Struct("<HIQQ")
 OPENING = struct.Struct("<BQ")
 
 
@@ -183,7 +184,7 @@ def damage(sample: Sample, kind: str, place: str, rng: random.Random) -> tuple[b
         The damaged file, and the origin of each of its bytes.
     """
     content = np.frombuffer(sample.content, dtype=np.uint8).copy()
-    origin = np.arange(len(content))
+    origin: Origin = np.arange(len(content))
     start, end = rng.choice(sample.places.get(place, sample.places["anywhere"]))
     at = rng.randrange(start, end)
     size = min(rng.choice([1, 2, 7, 40, 300, 3000]), len(content) - at)
@@ -216,26 +217,22 @@ def intact_messages(sample: Sample, origin: Origin) -> list[Key]:
             return part.end <= depth[part.chunk]
         return longest_run(origin, part.start, part.end) == part.end - part.start
 
-    definitions = {Opcode.SCHEMA: dict[int, str](), Opcode.CHANNEL: dict[int, tuple[int, str]]()}
-    parts: dict[int, Callable[[bytes], tuple[int, Any]]] = {
-        Opcode.SCHEMA: lambda text: (struct.unpack_from("<H", text)[0], text_at(text, 2)),
-        Opcode.CHANNEL: lambda text: (
-            struct.unpack_from("<H", text)[0],
-            (struct.unpack_from("<H", text, 2)[0], text_at(text, 4)),
-        ),
-    }
+    schemas, channels = dict[int, str](), dict[int, tuple[int, str]]()
     for part in sample.parts:
-        if part.opcode in parts and is_intact(part):
-            number, value = parts[part.opcode](part.content)
-            definitions[Opcode(part.opcode)][number] = value
+        if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and is_intact(part):
+            number, schema = struct.unpack_from("<HH", part.content)
+            if part.opcode == Opcode.SCHEMA:
+                schemas[number] = text_at(part.content, 2)
+            else:
+                channels[number] = schema, text_at(part.content, 4)
     keys = []
     for part in sample.parts:
         if part.opcode == Opcode.MESSAGE and is_intact(part):
-            channel, *numbers = struct.unpack_from("<HIQQ", part.content)
-            schema, topic = definitions[Opcode.CHANNEL].get(channel, (0, ""))
-            name = definitions[Opcode.SCHEMA].get(schema)
+            channel, number, log_time_ns, publish_time_ns = MESSAGE.unpack_from(part.content)
+            schema, topic = channels.get(channel, (0, ""))
+            name, data = schemas.get(schema), part.content[MESSAGE.size :]
             if topic and name:
-                keys.append(Key(topic, name, *numbers, part.content[22:]))
+                keys.append(Key(topic, name, number, log_time_ns, publish_time_ns, data))
     return keys
 
 
