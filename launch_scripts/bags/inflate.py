@@ -67,6 +67,7 @@ def inflate(source: IO[bytes], compression: str, limit: int, state: Inflation) -
             return
         size += len(content)
         if size > limit:
+            yield content[: limit - size]
             state.end(f"more than the limit of {limit} bytes")
             return
         yield content

@@ -6,7 +6,8 @@ A message is intact if it can be read from undamaged bytes alone:
 * in a compressed chunk: it is complete in what the compressed bytes before the first damage of
   the chunk decompress to (a compressor stores blocks of up to 128 kB, and nothing of a block can
   be had before all of it is there);
-* and a record of its channel and of its schema is intact, in the data or in the summary.
+* and a record of its channel and of its schema is intact, in the data or in the summary; in a
+  file without checksums, which cannot show which copy is the right one, every copy.
 """
 
 import io
@@ -62,6 +63,7 @@ class Sample(NamedTuple):
     """An undamaged file."""
 
     content: bytes
+    has_checksums: bool
     parts: list[Part]
     compressed: dict[int, tuple[int, str]]
     """End of the compressed data and their compression, by their start [bytes]."""
@@ -72,14 +74,14 @@ class Sample(NamedTuple):
 def make_sample(rng: random.Random) -> Sample:
     """Write a file with random options: compression, chunks, checksums, parts of the summary."""
     stream = io.BytesIO()
-    is_chunked = rng.random() < 0.85
+    is_chunked, has_checksums = rng.random() < 0.85, rng.random() < 0.8
     writer: Any = Writer(
         stream,
         chunk_size=rng.choice([500, 4000, 30_000, 400_000]),
         compression=rng.choice(list(CompressionType)),
         index_types=rng.choice([IndexType.ALL, IndexType.ALL, IndexType.NONE]),
         use_chunking=is_chunked,
-        enable_crcs=rng.random() < 0.8,
+        enable_crcs=has_checksums,
         repeat_channels=rng.random() < 0.9,
         repeat_schemas=rng.random() < 0.9,
         use_statistics=rng.random() < 0.9,
@@ -97,7 +99,7 @@ def make_sample(rng: random.Random) -> Sample:
             name = part.content[32 : 32 + name_length].decode()
             if name:
                 compressed[part.start + 9 + 40 + name_length] = (part.end, name)
-    return Sample(content, parts, compressed, places_of(content, parts))
+    return Sample(content, has_checksums, parts, compressed, places_of(content, parts))
 
 
 def add_message(writer: Any, rng: random.Random, number: int) -> None:
@@ -225,6 +227,10 @@ def intact_messages(sample: Sample, origin: Origin) -> list[Key]:
                 schemas[number] = text_at(part.content, 2)
             else:
                 channels[number] = schema, text_at(part.content, 4)
+    for part in sample.parts if not sample.has_checksums else []:
+        if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not is_intact(part):
+            (number,) = struct.unpack_from("<H", part.content)
+            (schemas if part.opcode == Opcode.SCHEMA else channels).pop(number, None)
     keys = []
     for part in sample.parts:
         if part.opcode == Opcode.MESSAGE and is_intact(part):

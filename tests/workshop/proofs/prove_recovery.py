@@ -2,9 +2,9 @@
 
 `python -m tests.workshop.proofs.prove_recovery [--damages 1000] [--seed 1]` damages files with
 all compressions at every kind of place, and checks that `recover` keeps every message whose bytes
-are intact, as `damaged_bags` defines it. The exit code is 1 if a message is lost, if an error other
-than one line for the user is raised, or if a message is altered and not counted as doubtful in a
-file that has checksums.
+are intact, as `damaged_bags` defines it. The exit code is 1 if one is lost or an exception is raised.
+Altered messages that are kept, and damage that is not noticed, are counted, too: a message without a
+checksum of its own cannot show that its values are wrong.
 """
 
 import argparse
