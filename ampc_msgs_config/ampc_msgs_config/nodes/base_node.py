@@ -22,7 +22,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.nodes import qos
-from ampc_msgs_config.signals import handle_ending_signals
+from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -178,10 +178,10 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
     signals: list[int] = []
     created: list[BaseNode] = []
 
-    def on_signal(number: int, _: Any) -> None:
+    def on_signal(number: int, frame: Any) -> None:
         signals.append(number)
         if not created and len(signals) == 1:
-            raise KeyboardInterrupt  # may be swallowed during compilation
+            interrupt(frame)
 
     name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
     try:
@@ -192,6 +192,7 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
             raise ValueError(error) from error
         with log_compilation(name, get_logger(name).info):
             created.append(make_node())
+            cancel_interruption()
         return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0

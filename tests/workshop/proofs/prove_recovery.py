@@ -2,9 +2,10 @@
 
 `python -m tests.workshop.proofs.prove_recovery [--damages 1000] [--seed 1]` damages files with
 all compressions at every kind of place, and checks that `recover` keeps every message whose bytes
-are intact, as `damaged_bags` defines it. The exit code is 1 if one is lost or an exception is raised.
-Altered messages that are kept, and damage that is not noticed, are counted, too: a message without a
-checksum of its own cannot show that its values are wrong.
+are intact, as `damaged_bags` defines it. The exit code is 1 if one is lost or an exception is
+raised.
+Altered messages that are kept, and damage that is not noticed, are counted, too: a message has no
+checksum of its own that could show that its values are wrong.
 """
 
 import argparse
