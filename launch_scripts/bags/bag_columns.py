@@ -342,7 +342,7 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             configuration[node] = parse(text, node)
         except ValueError:
             notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    predictions, rejected = [], Column()
+    predictions, faults = [], list[str]()
     for serialised in collector.predictions:  # one at a time: they are big
         try:
             message = collector.bag.decode(serialised)
@@ -351,8 +351,10 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             check_size(points)
             predictions.append(Sample(float(seconds(stamp_ns)), points))
         except ValueError as error:
-            rejected.reject(str(error))
-    rejected.rows(f"{namespace}/{topics.PREDICTED_PATH}", notes)
+            faults.append(str(error))
+    if faults:
+        count = f"{len(faults)} of {len(collector.predictions)} predicted paths"
+        notes.append(f"Left out: {count}: {faults[0]}.")
     return BagColumns(
         path,
         namespace,
