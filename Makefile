@@ -52,9 +52,10 @@ fuzz: dev  ## send a million hostile inputs each to node core and guard (2 min)
 	@$(VENV_PYTHON) -m tests.workshop.fuzz.fuzz
 
 # The short setting is that of continuous integration; FULL=1 takes about 10 minutes more.
-proofs: dev  ## test the workshop; solve degenerate QPs; kill recorders, recover; record drives, replay (FULL=1: more of them)
+proofs: dev  ## test the workshop; solve degenerate QPs; damage bags, recover; kill recorders; record drives, replay (FULL=1: more of them)
 	@$(VENV_PYTHON) -m pytest $(PARALLEL) tests/workshop
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_qp --problems $(if $(FULL),100000,3000)
+	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recovery --damages $(if $(FULL),3000,252)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recording --kills $(if $(FULL),20,4)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_replay $(if $(FULL),,--scenarios sc1 sc2 circle)
 

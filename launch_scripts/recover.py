@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from launch_scripts.bags.bag import reason_of
 from launch_scripts.bags.recovery import default_output, recover
 
 
@@ -27,6 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except OSError as error:
         print(f"error: {output}: cannot be written: {error.strerror}", file=sys.stderr)
+        return 2
+    except Exception as error:  # such as MemoryError
+        print(f"error: {options.bag}: nothing can be read: {reason_of(error)}", file=sys.stderr)
         return 2
     return 0
 

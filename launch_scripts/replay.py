@@ -53,6 +53,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("bag", type=Path, help="folder of a bag, or one MCAP file")
     add("--namespace", help="namespace of the topics, such as /car1; default: of the first command")
+    add("--odom", metavar="TOPIC", help="odometry that the controller used; default: odom")
     add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")
     add("--controller", help=f"another controller: {', '.join(CONTROLLERS)}, or FILE.py:CLASS")
     add("--gain-table", help=f"other gains: YAML file, or {', '.join(shipped('gains'))}")
@@ -73,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         begin = time.perf_counter()
         file = find("vehicles", options.vehicle)
         steering = load_section(SteeringParameters, file, "steering", "the replay")
-        run = read_run(options.bag, options.namespace, steering)
+        run = read_run(options.bag, options.namespace, options.odom, steering)
         reading = time.perf_counter() - begin
         configs, notes = run.config, run.notes
         if not configs:

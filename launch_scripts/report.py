@@ -36,6 +36,7 @@ def read_report_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--output", type=Path, help=text)
     add("--thresholds", type=Path, help="YAML file of limits; see the docs")
     add("--namespace", help="of the topics, as /car1; default: the first steered")
+    add("--odom", metavar="TOPIC", help="odometry to evaluate; default: odom in the namespace")
     add("--vehicle", help="name or YAML file, for a bag without configuration")
     add_format_option(parser, "time series, charts, or charts on the pages of one file")
     return parser.parse_args(arguments)
@@ -87,7 +88,7 @@ def judge_bags(options: argparse.Namespace) -> list[JudgedDrive]:
     if options.vehicle:
         vehicle = load_car(find("vehicles", options.vehicle))
     return [
-        judge_bag(bag, name, options.namespace, vehicle, thresholds)
+        judge_bag(bag, name, options.namespace, vehicle, thresholds, options.odom)
         for bag, name in zip(options.bags, names_of(options.bags), strict=True)
     ]
 

@@ -19,6 +19,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 
+from ampc_msgs_config.checked_cache import check_cache
+
 F = TypeVar("F", bound=Callable[..., Any])
 COMPILED_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
 STORED_VERSIONS = 3
@@ -107,7 +109,9 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 
 def compiled(function: F) -> F:
     """Compile a numeric function at its first call, and store the machine code on disk."""
-    return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+    result = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    check_cache(result)
+    return cast(F, result)
 
 
 def compile_without_allocation(function: F, **options: Any) -> F:
@@ -117,7 +121,9 @@ def compile_without_allocation(function: F, **options: Any) -> F:
         `_nrt` is a private option of numba: this is the only place that uses it.
     """
     njit: Any = numba.njit  # its type does not know the private option
-    return cast(F, njit(error_model="numpy", nogil=True, _nrt=False, **options)(function))
+    result = njit(error_model="numpy", nogil=True, _nrt=False, **options)(function)
+    check_cache(result)
+    return cast(F, result)
 
 
 def in_place(function: F) -> F:

@@ -2,23 +2,27 @@
 
 import heapq
 import re
-import shutil
 import tempfile
+import zlib
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-import zstandard
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class
+from launch_scripts.bags.inflate import MAX_RATIO, ZSTD_MAGIC, Inflation, inflate, inflated
+from launch_scripts.bags.resync import HEAD, MAGIC, Scanner, compression_of
 from launch_scripts.bags.salvage import (
-    MAGIC,
-    ZSTD_MAGIC,
+    Salvage,
+    inner_records,
     is_closed,
+    looks_like_mcap,
     read_index,
     salvage,
     uncompressed,
@@ -38,7 +42,7 @@ class BagMessage(NamedTuple):
     publish_time_ns: int
     """Wall time of publishing [ns]."""
     data: bytes
-    """The message as CDR."""
+    """The message as CDR, or CDR compressed by `ros2 bag record --compression-mode message`."""
 
 
 class BagFile(NamedTuple):
@@ -51,6 +55,8 @@ class BagFile(NamedTuple):
     """Summary with all chunks, channels and schemas."""
     is_complete: bool
     """Whether the writer closed the file, and nothing in it was left out."""
+    faults: list[str]
+    """What is damaged or doubtful, one line each."""
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics in the order of their log times."""
@@ -58,8 +64,8 @@ class BagFile(NamedTuple):
         with damage_in_one_line(self.path):
             reader = SeekingReader(self.stream, validate_crcs=True)
             for _, channel, message in reader.iter_messages(topics):
-                data = uncompressed(message.data)
-                yield BagMessage(channel.topic, message.log_time, message.publish_time, data)
+                times = message.log_time, message.publish_time
+                yield BagMessage(channel.topic, *times, message.data)
 
 
 class Bag(NamedTuple):
@@ -71,6 +77,11 @@ class Bag(NamedTuple):
     """Topics of the bag with their types, such as `nav_msgs/msg/Odometry`."""
     is_complete: bool
     """Whether every file is complete."""
+
+    @property
+    def faults(self) -> list[str]:
+        """What is damaged or doubtful, one line each."""
+        return [fault for file in self.files for fault in file.faults]
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics (full names) in the order of their log times.
@@ -97,7 +108,7 @@ class Bag(NamedTuple):
         Raises:
             ValueError: The type is not installed, or the bytes do not match the type.
         """
-        return ros.decode(message.data, message_class(self.topics[message.topic]))
+        return ros.decode(uncompressed(message.data), message_class(self.topics[message.topic]))
 
     def wrong_type(self, topic: str) -> str:
         """Return one line if the type of a topic violates the contract, otherwise ''."""
@@ -174,13 +185,15 @@ def check_format(file: Path) -> None:
     try:
         with file.open("rb") as stream:
             start = stream.read(len(SQLITE_MAGIC))
+            stream.seek(0)
+            is_bag = start.startswith(ZSTD_MAGIC) or looks_like_mcap(stream)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read: {error.strerror}") from error
     if not start:
         raise ValueError(f"{file}: no bag: the file is empty")
     if start == SQLITE_MAGIC:
         raise ValueError(f"{file}: {SQLITE}")
-    if not start.startswith((MAGIC, ZSTD_MAGIC)):
+    if not is_bag:
         raise ValueError(f"{file}: no bag: the file does not begin as MCAP files do")
 
 
@@ -188,30 +201,80 @@ def open_file(file: Path, stack: ExitStack) -> BagFile:
     """Open one file; `stack` closes it."""
     check_format(file)
     with damage_in_one_line(file):
-        stream = stack.enter_context(open_decompressed(file))
-        is_complete, index = is_closed(stream), read_index(stream)
-        if not (is_complete and is_full_index(index)):
+        stream, fault = stack.enter_context(open_decompressed(file))
+        faults = [f"{file}: {fault}"] if fault else []
+        is_complete, index = is_closed(stream) and not fault, read_index(stream)
+        if not (is_complete and index and is_full_index(index) and is_readable(stream, index)):
             copy = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (the stack closes it)
             result = salvage(stream, copy, compress=False)
-            stream, index, is_complete = copy, result.index, result.is_undamaged
+            faults += damage_of(file, result)
+            stream, index = copy, result.index
+            is_complete = result.is_undamaged and not fault
         stream.seek(0)
         profile = SeekingReader(stream).get_header().profile
         if profile not in ("ros2", ""):
             raise ValueError(f"its profile is {profile!r}, not 'ros2'")
-        return BagFile(file, stream, index, is_complete)
+        return BagFile(file, stream, index, is_complete, faults)
 
 
 @contextmanager
-def open_decompressed(file: Path) -> Iterator[IO[bytes]]:
-    """Open a file; one that is compressed as a whole is decompressed as far as it is complete."""
+def open_decompressed(file: Path) -> Iterator[tuple[IO[bytes], str]]:
+    """Open a file; one that is compressed as a whole is decompressed as far as it is undamaged.
+
+    Returns:
+        The stream, and why it is not all of the file (empty: it is).
+    """
     with file.open("rb") as stream, tempfile.TemporaryFile() as content:
         is_compressed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+        limit = MAX_RATIO * max(stream.seek(0, 2), 2**18)
         stream.seek(0)
-        if is_compressed:
-            with zstandard.ZstdDecompressor().stream_reader(stream) as source:
-                shutil.copyfileobj(source, content)
-            content.seek(0)
-        yield content if is_compressed else stream
+        if not is_compressed:
+            yield stream, ""
+            return
+        state = Inflation()
+        for piece in inflate(stream, "zstd", limit, state):
+            content.write(piece)
+        content.seek(0)
+        yield content, state.fault
+
+
+def damage_of(file: Path, result: Salvage) -> list[str]:
+    """Return one line for damage in a file, and one for messages that are kept and doubtful."""
+    lines = []
+    if result.damaged:
+        lines.append(
+            f"{file}: {result.damaged} damaged chunks or records, {result.damaged_bytes} bytes"
+        )
+    if result.doubtful:
+        lines.append(f"{file}: {result.doubtful} messages beside the damage are kept: may be wrong")
+    return lines
+
+
+def is_readable(stream: IO[bytes], index: Summary) -> bool:
+    """Return whether the header and every chunk of an index are undamaged."""
+    scanner = Scanner(stream, {})
+    header = scanner.record_at(len(MAGIC), is_checked=True)
+    if scanner.read(0, len(MAGIC)) != MAGIC or not header or header.opcode != Opcode.HEADER:
+        return False
+    for each in index.chunk_indexes:
+        record = scanner.record_at(each.chunk_start_offset, is_checked=True)
+        if not (record and record.chunk and record.is_whole and record.is_right):
+            return False
+        content, fault = record.content, ""
+        if content:
+            content, fault = inflated(content, compression_of(content, record.chunk.compression))
+        else:
+            begin = record.position + HEAD.size + record.chunk.size
+            content = scanner.read(begin, record.position + record.size - begin)
+        crc = record.chunk.crc
+        is_right = (
+            zlib.crc32(content) == crc
+            if crc
+            else all(inner.is_whole for inner in inner_records(content))
+        )
+        if fault or not is_right:
+            return False
+    return True
 
 
 def is_full_index(summary: Summary) -> bool:
@@ -235,5 +298,11 @@ def damage_in_one_line(file: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        reason = " ".join(str(error).split()) or "it ends early"
-        raise ValueError(f"{file}: damaged or foreign: {reason}") from error
+        raise ValueError(f"{file}: damaged or foreign: {reason_of(error)}") from error
+
+
+def reason_of(error: Exception) -> str:
+    """Return an error of the libraries as one line."""
+    if isinstance(error, EOFError | EndOfFile):
+        return "it ends early"
+    return " ".join(str(error).split()) or type(error).__name__

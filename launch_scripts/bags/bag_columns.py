@@ -34,8 +34,11 @@ UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
 STEERING = (topics.STEERING_COMMAND, topics.STEERING_STATE)
 MAX_PREDICTIONS = 1000
 """At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
+ODOMETRY = "nav_msgs/msg/Odometry"
 FIRST_STAMP = 10 * NANOSECONDS
 """A clock that starts at 0 has stamps below this; otherwise a stamp of 0 was never set [ns]."""
+LARGEST_VALUE = 1e12
+"""Largest value of a message; a larger one is damaged."""
 INCOMPLETE = "The bag was not closed or is damaged: a part may be missing."
 Stamps = NDArray[np.int64]
 
@@ -70,7 +73,10 @@ class BagColumns(NamedTuple):
 
 
 def read_columns(
-    path: File, namespace: str | None = None, steering: SteeringParameters = ros.ROAD_WHEEL
+    path: File,
+    namespace: str | None = None,
+    odom: str | None = None,
+    steering: SteeringParameters = ros.ROAD_WHEEL,
 ) -> BagColumns:
     """Read a drive from a bag; steering angles become road-wheel angles.
 
@@ -78,34 +84,71 @@ def read_columns(
         path: Folder of the bag, or one MCAP file.
         namespace: Namespace of the topics, such as `/car1`; by default that of the first steering
             command, otherwise of the first odometry.
+        odom: Topic of the odometry; by default `odom` in the namespace.
         steering: Ratio and offset of the steering topics, where the bag has no configuration.
 
     Raises:
         ValueError: One line that names the bag and the fault.
     """
     with open_bag(path) as bag:
-        notes = [] if bag.is_complete else [INCOMPLETE]
-        if namespace is None:
+        notes = [] if bag.is_complete else [INCOMPLETE, *(f"{each}." for each in bag.faults)]
+        if namespace is None and odom is None:
             namespace = namespace_of(bag)
             used = {f"{namespace}/{topics.ODOM}", f"{namespace}/{topics.FAULTY}{topics.ODOM}"}
-            odometry = {topic for topic in bag.topics if topic.endswith(f"/{topics.ODOM}")}
-            if others := ", ".join(sorted(odometry - used)):
+            if others := ", ".join(sorted({*odometry_topics(bag)} - used)):
                 chosen = f"{namespace}/{topics.ODOM} is evaluated, not {others}"
-                notes.append(f"{chosen}; --namespace selects another.")
-        prefix = namespace.rstrip("/") + "/"
-        wanted = {prefix + name for name in WANTED} & bag.topics.keys()
+                notes.append(f"{chosen}; --namespace or --odom selects another.")
+        namespace, odom = selected(bag, namespace, odom)
+        prefix = namespace + "/"
+        wanted = {prefix + name for name in WANTED if name != topics.ODOM} | {odom}
+        wanted &= bag.topics.keys()
         for fault in filter(None, map(bag.wrong_type, sorted(wanted))):
             topic = fault.partition(" ")[0]
-            if topic == prefix + topics.ODOM:
+            if topic == odom:
                 raise ValueError(f"{bag.path}: {fault}")
             notes.append(f"Left out: {fault}.")
             wanted.remove(topic)
         if prefix + topics.TICK in wanted:  # contains the debug topics
             wanted -= {prefix + topic for topic in DEBUG}
-        collector = Collector(bag, prefix, topic_steering(bag, prefix) or steering)
+        collector = Collector(bag, prefix, odom, topic_steering(bag, prefix) or steering)
         for message in bag.messages(wanted):
             collector.take(message)
         return arrange(collector, notes)
+
+
+def odometry_topics(bag: Bag) -> list[str]:
+    """Return all topics of a bag that hold odometry, in alphabetical order."""
+    return sorted(topic for topic, type_ in bag.topics.items() if type_ == ODOMETRY)
+
+
+def selected(bag: Bag, namespace: str | None, odom: str | None) -> tuple[str, str]:
+    """Return the namespace and the topic of the odometry that are evaluated.
+
+    Args:
+        bag: Open bag.
+        namespace: Namespace chosen by the user, or None.
+        odom: Topic of the odometry chosen by the user, or None.
+
+    Raises:
+        ValueError: The bag has no such topic; the message lists the odometry that it has.
+    """
+    if odom and namespace is None:
+        names = topics.STEERING_COMMAND, topics.REFERENCE_PATH
+        found = [t.removesuffix(f"/{n}") for n in names for t in bag.topics if t.endswith(f"/{n}")]
+        namespace = found[0] if found else ""
+    elif namespace is None:
+        namespace = namespace_of(bag)
+    namespace = namespace.rstrip("/")
+    topic = "/" + odom.lstrip("/") if odom else f"{namespace}/{topics.ODOM}"
+    if topic in bag.topics and (not odom or bag.topics[topic] == ODOMETRY):
+        return namespace, topic
+    raise ValueError(f"{bag.path}: holds no odometry on {topic}{other_odometry(bag)}")
+
+
+def other_odometry(bag: Bag) -> str:
+    """Return the part of a message that lists the odometry of a bag, if there is any."""
+    found = ", ".join(odometry_topics(bag))
+    return f"; it has {found}: select with --odom" if found else ""
 
 
 def namespace_of(bag: Bag) -> str:
@@ -118,9 +161,8 @@ def namespace_of(bag: Bag) -> str:
         for topic in bag.topics:
             if topic.endswith(f"/{name}"):
                 return topic.removesuffix(f"/{name}")
-    raise ValueError(
-        f"{bag.path}: holds no message on {topics.STEERING_COMMAND}, nor {topics.ODOM}"
-    )
+    missing = f"holds no message on {topics.STEERING_COMMAND}, nor {topics.ODOM}"
+    raise ValueError(f"{bag.path}: {missing}{other_odometry(bag)}")
 
 
 def topic_steering(bag: Bag, prefix: str) -> SteeringParameters | None:
@@ -199,15 +241,16 @@ class Column:
 class Collector:
     """Collects the numbers of the messages of one bag."""
 
-    def __init__(self, bag: Bag, prefix: str, steering: SteeringParameters) -> None:
+    def __init__(self, bag: Bag, prefix: str, odom: str, steering: SteeringParameters) -> None:
         """Create an empty collector.
 
         Args:
             bag: Decodes the messages.
             prefix: Namespace with its slash, which precedes the names of the topics.
+            odom: Full name of the topic of the odometry.
             steering: Ratio and offset of the steering topics.
         """
-        self.bag, self.prefix, self.steering = bag, prefix, steering
+        self.bag, self.prefix, self.odom, self.steering = bag, prefix, odom, steering
         self.columns: dict[str, Column] = {topics.ODOM: Column()}
         self.tick_names: list[str] = []
         self.paths: list[tuple[int, Array]] = []
@@ -218,6 +261,7 @@ class Collector:
     def take(self, message: BagMessage) -> None:
         """Add a message to its column; one that cannot be used is counted."""
         name = message.topic[len(self.prefix) :]
+        name = topics.ODOM if message.topic == self.odom else name
         if name == topics.PREDICTED_PATH:
             self.thin(message)
             return
@@ -246,23 +290,48 @@ class Collector:
             if message.name != self.tick_names or len(message.position) != len(self.tick_names):
                 raise ValueError("its quantities are not those of the first message")
         if name in STEERING:
-            column.add(log_time_ns, *ros.steering_angle(message, self.steering))
+            stamp_ns, angle = ros.steering_angle(message, self.steering)
+            check_size([angle])
+            column.add(log_time_ns, stamp_ns, angle)
         elif name in UNPACK:
-            column.add(log_time_ns, *UNPACK[name](message))
+            stamp_ns, *values = UNPACK[name](message)
+            if name != topics.TICK:  # its quantities have ranges of their own
+                check_size(values)
+            column.add(log_time_ns, stamp_ns, *values)
         elif name == topics.REFERENCE_PATH:
             points = path_array(message)
+            check_size(points)
             if not self.paths or not np.array_equal(points, self.paths[-1][1]):
                 self.paths.append((log_time_ns, points))
                 column.add(log_time_ns, 0, float(len(points)))
         elif name in topics.CONFIGURATIONS:
             self.texts[name.partition("/")[0]] = message.data
         else:  # Bool and Float64
+            check_size([message.data], allow_nan=True)
             column.add(log_time_ns, 0, float(message.data))
 
 
 def path_array(message: Any) -> Array:
     """Return the positions of a path (n, 2) [m]."""
     return np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
+
+
+def check_size(values: Any, *, allow_nan: bool = False) -> None:
+    """Check that values are not those of a damaged message.
+
+    Args:
+        values: Numbers of a message, in its units.
+        allow_nan: Whether numbers may be nan or infinite, which means that there is none.
+
+    Raises:
+        ValueError: A number is not finite, or its size is beyond the limit.
+    """
+    numbers = np.asarray(values, dtype=float)
+    finite = np.isfinite(numbers)
+    if not (allow_nan or finite.all()):
+        raise ValueError("a value is not finite")
+    if np.abs(numbers[finite]).max(initial=0.0) > LARGEST_VALUE:
+        raise ValueError(f"a value is beyond {LARGEST_VALUE:g}")
 
 
 def arrange(collector: Collector, notes: list[str]) -> BagColumns:
@@ -274,12 +343,14 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
     namespace, path = collector.prefix[:-1], collector.bag.path
     odom = collector.columns[topics.ODOM]
     rows = {
-        name: column.rows(f"{namespace}/{name}", notes)
+        name: column.rows(collector.odom if name == topics.ODOM else f"{namespace}/{name}", notes)
         for name, column in collector.columns.items()
     }
     if not len(rows[topics.ODOM].stamps):
         reason = f": {odom.reason}" if odom.rejected else ""
-        raise ValueError(f"{path}: holds no usable message on {namespace}/{topics.ODOM}{reason}")
+        others = "" if odom.rejected else other_odometry(collector.bag)
+        fault = f"holds no usable message on {collector.odom}{reason}{others}"
+        raise ValueError(f"{path}: {fault}")
     # Time 0 is the first command, whose stamps also relate the log times to the car's clock.
     first = rows.get(topics.STEERING_COMMAND, rows[topics.ODOM])
     first = first if len(first.stamps) else rows[topics.ODOM]
@@ -306,10 +377,19 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
             configuration[node] = parse(text, node)
         except ValueError:
             notes.append(f"Left out: {node}/{topics.CONFIGURATION} is no YAML mapping.")
-    predictions = []
-    for message in map(collector.bag.decode, collector.predictions):  # one at a time: they are big
-        stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
-        predictions.append(Sample(float(seconds(stamp_ns)), path_array(message)))
+    predictions, faults = [], list[str]()
+    for serialised in collector.predictions:  # one at a time: they are big
+        try:
+            message = collector.bag.decode(serialised)
+            stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
+            points = path_array(message)
+            check_size(points)
+            predictions.append(Sample(float(seconds(stamp_ns)), points))
+        except ValueError as error:
+            faults.append(str(error))
+    if faults:
+        count = f"{len(faults)} of {len(collector.predictions)} predicted paths"
+        notes.append(f"Left out: {count}: {faults[0]}.")
     return BagColumns(
         path,
         namespace,

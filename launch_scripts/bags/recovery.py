@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 from mcap.records import Channel
@@ -10,16 +11,17 @@ from mcap.summary import Summary
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
+from ampc_msgs_config.config import MAX_YAML_BYTES, parse, read
 from ampc_msgs_config.recording.bag_metadata import (
     FILE_NAME,
+    ROOT_KEY,
     Extent,
     Topic,
-    read_metadata,
     total_of,
     write_metadata,
 )
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import bag_files, check_format, open_decompressed
+from launch_scripts.bags.bag import bag_files, check_format, damage_of, open_decompressed, reason_of
 from launch_scripts.bags.salvage import Salvage, salvage
 
 LONG_SILENCE = NANOSECONDS
@@ -58,33 +60,49 @@ def recover(bag: Path, output: Path) -> list[str]:
     if output.exists():
         raise ValueError(f"{output}: exists already, and nothing is overwritten")
     output.mkdir(parents=True)
-    names = [f"{output.name}_{number}.mcap" for number in range(len(files))]
     try:
         # The old files are only read.
-        salvages = []
-        for file, name in zip(files, names, strict=True):
-            with open_decompressed(file) as source, (output / name).open("x+b") as target:
-                salvages.append(salvage(source, target))
-        extents = [extent_of(each.index) for each in salvages]
+        new: dict[str, Salvage] = {}
+        for file in files:
+            name = f"{output.name}_{len(new)}.mcap"
+            try:
+                with open_decompressed(file) as (source, fault), (output / name).open("x+b") as to:
+                    lines += [f"{file}: {fault}"] if fault else []
+                    new[name] = salvage(source, to)
+                lines += losses(file, new[name])
+            except OSError:
+                raise
+            except Exception as error:  # the libraries raise many kinds
+                (output / name).unlink()
+                lines.append(f"{file}: nothing can be read: {reason_of(error)}")
+        if not new:
+            raise ValueError("; ".join(lines))
+        salvages = list(new.values())
+        extents = {name: extent_of(each.index) for name, each in new.items()}
         topics, old = topics_of(salvages), read_metadata(bag)
-        size = bag_size(salvages, extents, topics)
+        size = bag_size(salvages, list(extents.values()), topics)
         if (
             not lines
             and all(each.is_undamaged for each in salvages)
-            and old.get("message_count") == sum(extent.count for extent in extents)
+            and old.get("message_count") == sum(extent.count for extent in extents.values())
             and old.get("relative_file_paths") == [file.name for file in files]
         ):
             shutil.rmtree(output)
             return [f"{bag}: complete already: {size}"]
         kept = {key: old[key] for key in KEPT_KEYS if key in old}
-        extent_by_name = dict(zip(names, extents, strict=True))
-        write_metadata(output, extent_by_name, topics.values(), kept)
-    except OSError:
+        write_metadata(output, extents, topics.values(), kept)
+    except (OSError, ValueError):
         shutil.rmtree(output, ignore_errors=True)
         raise
-    for file, each in zip(files, salvages, strict=True):
-        lines += losses(file, each)
     return [*lines, *silent_topics(salvages, topics), f"{output}: recovered: {size}"]
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return the content of `metadata.yaml`, empty if it is missing, damaged or beyond limits."""
+    try:
+        return dict(read(folder / FILE_NAME)[ROOT_KEY])
+    except (ValueError, TypeError, KeyError):
+        return {}
 
 
 def extent_of(index: Summary) -> Extent:
@@ -115,10 +133,11 @@ def topics_of(salvages: Sequence[Salvage]) -> dict[str, Topic]:
 
 def offered_qos(channel: Channel) -> list[dict[str, Any]]:
     """Convert the QoS profiles of a channel, of any version of rosbag2, to version 9."""
-    try:
-        profiles = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
-        return [dict(qos) for qos in dump_qos_v9(profiles)]
-    except (ReaderError, KeyError, TypeError):
+    text = channel.metadata.get("offered_qos_profiles", "")[:MAX_YAML_BYTES]
+    try:  # our parser bounds nesting, the one of rosbags does not
+        profiles = parse("profiles:\n" + indent(text, " "), channel.topic)["profiles"]
+        return [dict(qos) for qos in dump_qos_v9(parse_qos(profiles or []))]
+    except (ReaderError, AttributeError, KeyError, TypeError, ValueError):
         return []
 
 
@@ -149,12 +168,9 @@ def losses(file: Path, result: Salvage) -> list[str]:
         lines.append(f"{file}: was not closed; no record is cut")
     elif not result.was_closed:
         lines.append(f"{file}: only the index was missing")
-    if result.damaged:
-        lines.append(
-            f"{file}: {result.damaged} damaged chunks or records, "
-            f"{result.damaged_bytes} bytes, are left out"
-        )
-    return lines
+    elif result.index_damaged:
+        lines.append(f"{file}: the index was damaged")
+    return lines + damage_of(file, result)
 
 
 def silent_topics(salvages: Sequence[Salvage], topics: dict[str, Topic]) -> list[str]:

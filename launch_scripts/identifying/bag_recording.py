@@ -115,7 +115,7 @@ def read_recording(
         ValueError: The bag cannot be read, contains no command, or no vehicle.
     """
     given = vehicle.steering if vehicle else ros.ROAD_WHEEL
-    columns = read_columns(bag, namespace, given)
+    columns = read_columns(bag, namespace, steering=given)
     if topics.STEERING_COMMAND not in columns.values:
         name = f"{columns.namespace}/{topics.STEERING_COMMAND}"
         raise ValueError(f"{bag}: holds no message on {name}: {NO_COMMAND}")

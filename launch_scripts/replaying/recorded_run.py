@@ -1,7 +1,7 @@
 """Recorded inputs and results of a controller, tick by tick, from a bag."""
 
 from bisect import bisect_right
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -10,10 +10,10 @@ import numpy as np
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import parse
 from ampc_msgs_config.parameters import SteeringParameters
-from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, REASONS, RUNGS, Array, VehicleState
 from ampc_ros.configuration import Configuration, from_yaml
 from launch_scripts.bags.bag import open_bag
-from launch_scripts.bags.bag_columns import namespace_of, topic_steering
+from launch_scripts.bags.bag_columns import INCOMPLETE, selected, topic_steering
 
 CONTROLLER, SIMULATOR = (f"{node}/{topics.CONFIGURATION}" for node in ("controller", "simulator"))
 INPUTS = (
@@ -24,6 +24,9 @@ INPUTS = (
     CONTROLLER,
     SIMULATOR,
 )
+LARGEST_AGE = 1e9
+"""Largest age of an input in a tick [s]; a larger one is damaged."""
+LARGEST_COUNT = 2**53
 NO_AGES = {"state_age": 0.0, "state_silence": 0.0, "path_age": 0.0, "path_silence": 0.0}
 """Ages in a bag without tick records: a drive in lock-step, in which no input is late."""
 
@@ -98,14 +101,35 @@ class Answer(NamedTuple):
     values: dict[str, float]
 
 
+def check_tick(values: dict[str, float]) -> None:
+    """Check that a tick can be repeated.
+
+    Raises:
+        ValueError: A quantity is missing or out of range.
+    """
+    if missing := {"steering", *NO_AGES} - values.keys():
+        raise ValueError(f"the tick has no {', '.join(sorted(missing))}")
+    for name, count in {"rung": len(RUNGS), "reason": len(REASONS)}.items():
+        if name in values and not 0 <= values[name] < count:
+            raise ValueError(f"the tick has {name} {values[name]}")
+    if not all(abs(values[name]) < LARGEST_AGE for name in ("steering", *NO_AGES)):
+        raise ValueError("an age or angle of the tick is out of range")
+    if not 0 <= values.get("resets", 0.0) < LARGEST_COUNT:
+        raise ValueError("the tick has a wrong number of resets")
+
+
 def read_run(
-    bag: File, namespace: str | None = None, steering: SteeringParameters = ros.ROAD_WHEEL
+    bag: File,
+    namespace: str | None = None,
+    odom: str | None = None,
+    steering: SteeringParameters = ros.ROAD_WHEEL,
 ) -> RecordedRun:
     """Read a run from a bag.
 
     Args:
         bag: Folder of the bag, or one MCAP file.
         namespace: Namespace of the topics, such as `/car1`; None: that of the first command.
+        odom: Topic of the odometry; None: `odom` in the namespace.
         steering: Ratio and offset of the steering topics, where the bag has no configuration.
 
     Raises:
@@ -114,13 +138,18 @@ def read_run(
     states, paths, texts = StampIndex(), StampIndex(), defaultdict[str, list[str]](list)
     answers: dict[str, list[Answer]] = {topics.TICK: [], topics.STEERING_COMMAND: []}
     with open_bag(bag) as opened:
-        prefix = namespace_of(opened) if namespace is None else namespace.rstrip("/")
+        notes = [] if opened.is_complete else [INCOMPLETE, *opened.faults]
+        prefix, odometry = selected(opened, namespace, odom)
         steering = topic_steering(opened, f"{prefix}/") or steering
         heard = {f"{prefix}/{name}": name for name in INPUTS}
         for name in INPUTS:
             if (faulty := f"{prefix}/{topics.FAULTY}{name}") in opened.topics:
                 del heard[f"{prefix}/{name}"]
                 heard[faulty] = name
+        if odom:
+            heard = {topic: name for topic, name in heard.items() if name != topics.ODOM}
+            heard[odometry] = topics.ODOM
+        rejected = Counter[str]()
         for position, serialised in enumerate(opened.messages(heard)):
             name = heard[serialised.topic]
             try:
@@ -136,18 +165,19 @@ def read_run(
                     paths.by_stamp[stamp_ns].append((position, RecordedPath(stamp_ns, points)))
                 elif name == topics.TICK:
                     values = dict(zip(message.name, message.position, strict=True))
+                    check_tick(values)
                     answers[name].append(Answer(position, stamp_ns, values))
                 else:
                     angle = ros.steering_angle(message, steering).value
                     rounding = 0.0 if angle == message.position[0] else CONVERSION_ROUNDING
                     values = {"steering": angle, "rounding": rounding, **NO_AGES}
                     answers[name].append(Answer(position, stamp_ns, values))
-            except ValueError:
-                continue  # the controller must have rejected it, too
+            except ValueError:  # the controller must have rejected it, too
+                rejected[serialised.topic] += 1
     if not paths.by_stamp:
         (topic,) = (topic for topic, name in heard.items() if name == topics.REFERENCE_PATH)
         raise ValueError(f"{bag}: holds no message on {topic}")
-    notes = []
+    notes += [f"{topic}: {n} messages cannot be used" for topic, n in rejected.items()]
     if not answers[topics.TICK]:
         notes.append("no controller/tick: read as a drive in lock-step, in which no input is late")
     messages, ticks = answers[topics.TICK] or answers[topics.STEERING_COMMAND], []
@@ -160,8 +190,24 @@ def read_run(
         raise ValueError(f"{bag}: holds no command that answers a recorded state")
     if len(ticks) < len(messages):
         notes.append(f"{len(messages) - len(ticks)} ticks answer a state that is not in the bag")
-    config = [from_yaml(text, f"{bag}: {CONTROLLER}") for text in texts[CONTROLLER]]
+    config, faults = [], list[ValueError]()
+    for text in texts[CONTROLLER]:
+        try:
+            config.append(from_yaml(text, f"{bag}: {CONTROLLER}"))
+        except ValueError as error:
+            faults.append(error)
+    if faults and not config:
+        raise faults[0]
+    notes += [f"left out: {fault}" for fault in faults]
     version = str(parse(texts[CONTROLLER][0], "").get("version", "")) if config else ""
     simulator = "".join(texts[SIMULATOR][-1:])
     by_number = {number: each for each, number in config}
+    count = len(ticks)
+    if by_number:
+        default = float(min(by_number))
+        ticks = [tick for tick in ticks if tick.values.get("configuration", default) in by_number]
+    if len(ticks) < count:
+        notes.append(f"{count - len(ticks)} ticks refer to a configuration that is not in the bag")
+    if not ticks:
+        raise ValueError(f"{bag}: holds no tick whose configuration is in the bag")
     return RecordedRun(bag, ticks, by_number, version, simulator, notes)

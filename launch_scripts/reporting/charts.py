@@ -312,7 +312,7 @@ def rounded(values: Array, digits: int) -> list[Any]:
     """Return the values as Python numbers, rounded to so many digits of their range."""
     span = float(np.ptp(values)) if len(values) else 0.0
     span = span or float(np.abs(values).max(initial=0.0)) or 1.0
-    places = digits - int(np.floor(np.log10(span))) - 1
+    places = min(digits - int(np.floor(np.log10(span))) - 1, 300)  # 10^places is finite
     return [int(v) if places <= 0 else v for v in np.round(values, max(places, 0)).tolist()]
 
 

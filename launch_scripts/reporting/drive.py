@@ -238,6 +238,7 @@ def judge_bag(
     namespace: str | None = None,
     vehicle: ReportedCar | None = None,
     thresholds: Thresholds | None = None,
+    odom: str | None = None,
 ) -> JudgedDrive:
     """Read a bag and compute the metrics of its drive.
 
@@ -247,11 +248,13 @@ def judge_bag(
         namespace: Prefix of the topics; default: see `read_columns`.
         vehicle: Car of a bag without a configuration.
         thresholds: Limits of the metrics.
+        odom: Topic of the odometry; default: see `read_columns`.
 
     Raises:
         ValueError: Names the bag and the cause in one line.
     """
-    columns = read_columns(bag, namespace, *([vehicle.steering] if vehicle else []))
+    steering = {"steering": vehicle.steering} if vehicle else {}
+    columns = read_columns(bag, namespace, odom, **steering)
     return judge_columns(columns, name, run_context_of(columns, vehicle), thresholds)
 
 

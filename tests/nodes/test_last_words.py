@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -10,6 +11,7 @@ import pytest
 from lifecycle_msgs.msg import Transition
 
 from ampc_msgs_config.nodes import base_node
+from ampc_msgs_config.signals import ENDING, handle_ending_signals
 from ampc_ros.nodes.controller_node import ControllerNode
 from tests.driver_of_nodes import Driver
 from tests.ros_nodes import ros_context, spin_until
@@ -37,7 +39,7 @@ def controller(*parameters: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_to_a_steering_controller_leaves_the_last_angle_and_a_requested_stop(
     number: signal.Signals,
 ) -> None:
@@ -69,6 +71,53 @@ def test_a_signal_to_a_controller_that_does_not_steer_ends_it_without_a_word(
         assert (driver.commands, driver.stops) == ([], [])
     assert process.returncode == 0
     assert "Traceback" not in said
+
+
+NODES = {
+    "ampc_ros.nodes.controller_node": signal.SIGINT,
+    "ampc_ros.nodes.planner_node": signal.SIGHUP,
+    "sim_vehicle.nodes.simulator_node": signal.SIGQUIT,
+    "ampc_msgs_config.nodes.marker_node": signal.SIGHUP,
+}
+"""Modules of nodes, and a signal that is sent to each while it starts."""
+
+
+@pytest.mark.parametrize("after", [0.0, 0.2, 0.7])
+def test_a_signal_while_a_node_is_imported_or_built_ends_it_without_a_traceback(
+    after: float,
+) -> None:
+    """Wait until the package of the nodes is imported, and send the signal some time after."""
+    running = {}
+    for module in NODES:
+        script = f"import sys; sys.orig_argv[1:] = ['-m', {module!r}]; sys.argv = ['node']\n"
+        script += f"import {module.rpartition('.')[0]}; print('imports', flush=True)\n"
+        script += f"from {module} import main; sys.exit(main())"
+        running[module] = subprocess.Popen(
+            [sys.executable, "-c", script],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+    for module, process in running.items():
+        assert process.stdout
+        assert process.stdout.readline() == "imports\n"
+        time.sleep(after)
+        process.send_signal(NODES[module])
+        said, _ = process.communicate(timeout=TIMEOUT)
+        assert "Traceback" not in said
+        assert process.returncode == 0
+
+
+def test_nohup_keeps_its_effect() -> None:
+    before = {number: signal.getsignal(number) for number in ENDING}
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        handle_ending_signals(print)
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGQUIT) is print
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_a_fault_in_the_programme_leaves_the_last_angle_and_a_requested_stop(

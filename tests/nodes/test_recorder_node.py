@@ -1,5 +1,6 @@
 """The recorder: no loss, correct times, orderly shutdown."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,9 +12,11 @@ from typing import Any
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -205,7 +208,10 @@ def publish_fast(publishers: dict[str, Publisher], ticks: int) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-@pytest.mark.parametrize(("number", "ticks"), [(signal.SIGINT, 100), (signal.SIGTERM, 5)])
+@pytest.mark.parametrize(
+    ("number", "ticks"),
+    [(signal.SIGINT, 100), (signal.SIGTERM, 5), (signal.SIGHUP, 5), (signal.SIGQUIT, 5)],
+)
 def test_the_recorder_loses_nothing_and_ends_cleanly(
     tmp_path: Path, number: signal.Signals, ticks: int
 ) -> None:
@@ -279,6 +285,43 @@ def test_the_recorder_keeps_receive_times_and_offers_of_a_car(tmp_path: Path) ->
         offers: dict[str, Any] = {link.topic: link.ext for link in reader.connections}
     assert offers["/odom"].offered_qos_profiles[0].reliability is QosReliability.BEST_EFFORT
     assert offers["/reference_path"].offered_qos_profiles[0].durability is QosDurability.VOLATILE
+
+
+@pytest.mark.parametrize("change", ["removed", "replaced", "changed"])
+def test_a_file_that_is_taken_away_is_reported_within_a_second(tmp_path: Path, change: str) -> None:
+    bag, reports = tmp_path / "bag", list[DiagnosticArray]()
+    with talker() as node:
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        publisher = node.create_publisher(Odometry, ros.ODOM, EVERYTHING)
+        node.create_subscription(DiagnosticArray, ros.DIAGNOSTICS, reports.append, 10)
+        recorder = start_recorder(bag)
+        wait_for(lambda: publisher.get_subscription_count() > 0)
+        wait_for(lambda: node.count_publishers(ros.DIAGNOSTICS) > 0)
+        file = bag / "bag_0.mcap"
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until or file.stat().st_size < 1000:
+            publisher.publish(sample(ros.ODOM, time.time_ns()))
+            executor.spin_once(timeout_sec=0.01)
+        if change == "changed":
+            os.truncate(file, 10)
+        else:
+            file.unlink()
+        if change == "replaced":
+            file.touch()
+        begin = time.monotonic()
+        while not reports:
+            publisher.publish(sample(ros.ODOM, time.time_ns()))
+            executor.spin_once(timeout_sec=0.01)
+            assert time.monotonic() < begin + 10.0
+        took = time.monotonic() - begin
+        said, _ = recorder.communicate(timeout=TIMEOUT)
+    (status,) = reports[0].status
+    assert status.level == DiagnosticStatus.ERROR
+    assert status.message.startswith(f"{file}: recording ends: it was {change}")
+    assert f"error: {status.message}\n" in said
+    assert recorder.returncode == 1
+    assert took < 1.0
 
 
 def test_the_recorder_refuses_a_wrong_start_in_one_line(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Bags of other recorders: split, compressed, out of order, or with unusual content."""
 
 import itertools
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 import zstandard
 from mcap.writer import CompressionType, IndexType
+from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -16,7 +18,7 @@ from std_msgs.msg import Float64
 from ampc_msgs_config.recording.bag_writer import Recording
 from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.bag_columns import read_columns
-from launch_scripts.bags.salvage import MAGIC
+from launch_scripts.bags.resync import MAGIC
 from tests.bag_samples import is_complete, read
 from tests.foreign_bags import Sent, write_file
 
@@ -189,6 +191,73 @@ def test_a_message_that_cannot_be_decoded_is_left_out_with_a_note(tmp_path: Path
     columns = read_columns(tmp_path)
     assert len(columns.values["odom"]) == len(DRIVE) - 1
     assert re.search(r"/odom: 1 of 60 .*0 bytes", "".join(columns.notes))
+
+
+def test_a_damaged_chunk_hides_no_other_one_and_is_named(tmp_path: Path) -> None:
+    for compression in CompressionType:
+        file = tmp_path / f"{compression.name}.mcap"
+        options: dict[str, Any] = {"compression": compression, "chunk_size": 4000}
+        write_file(file, LONG_DRIVE, enable_crcs=True, **options)
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content)
+        columns = read_columns(file)
+        assert len(columns.values["odom"]) > len(LONG_DRIVE) - 10
+        notes = "".join(columns.notes)
+        assert "was not closed or is damaged" in notes
+        assert re.search(r"1 damaged chunks or records, \d+ bytes", notes)
+
+
+def test_a_damaged_message_of_those_that_are_compressed_one_by_one_is_left_out(
+    tmp_path: Path,
+) -> None:
+    count = itertools.count(1)
+
+    def pack(data: bytes) -> bytes:
+        packed = zstandard.compress(data)
+        return packed if next(count) != 10 else packed[: len(packed) // 2]
+
+    write_file(tmp_path / "bag_0.mcap", DRIVE, pack=pack)
+    columns = read_columns(tmp_path)
+    assert len(columns.values["odom"]) == len(DRIVE) - 1
+    assert re.search(r"/odom: 1 of 60 .*cut off in compressed frame 1", "".join(columns.notes))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e200])
+def test_a_message_with_values_that_no_car_has_is_left_out(tmp_path: Path, value: float) -> None:
+    drive = [sent._replace(x=value if sent.number == 7 else sent.x) for sent in DRIVE]
+    write_file(tmp_path / "bag_0.mcap", drive)
+    columns = read_columns(tmp_path)
+    assert len(columns.values["odom"]) == len(DRIVE) - 1
+    assert re.search(r"/odom: 1 of 60 messages rejected: .*(finite|beyond)", "".join(columns.notes))
+
+
+def test_a_predicted_path_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
+    write_file(tmp_path / "odom_0.mcap", DRIVE)
+    with Recording(tmp_path / "bag") as recording:
+        recording.add_topic("/predicted_path", "nav_msgs/msg/Path")
+        path = PathMessage()
+        path.header.frame_id = "map"
+        for data in (serialize_message(path), b"\0\1\0\0\1"):
+            recording.write("/predicted_path", data, 1, 1)
+    (tmp_path / "bag" / "bag_0.mcap").rename(tmp_path / "odom_1.mcap")
+    columns = read_columns(tmp_path)
+    assert len(columns.predictions) == 1
+    assert re.search(r"Left out: 1 of 2 predicted paths", "".join(columns.notes))
+
+
+def test_other_odometry_is_listed_and_can_be_selected(tmp_path: Path) -> None:
+    file, names = tmp_path / "bag_0.mcap", ("/ekf/state", "/wheels/odometry")
+    drive = [sent._replace(topic=names[sent.number % 2]) for sent in DRIVE]
+    write_file(file, drive)
+    listed = "it has /ekf/state, /wheels/odometry: select with --odom"
+    for arguments in ((None, None), ("", None), ("", "/odom"), (None, "/nothing")):
+        with pytest.raises(ValueError, match=rf"^{file}: holds no .*; {listed}$"):
+            read_columns(file, *arguments)
+    for odom in ("/wheels/odometry", "wheels/odometry"):
+        columns = read_columns(file, odom=odom)
+        assert len(columns.values["odom"]) == len(DRIVE) // 2
+        assert (columns.namespace, columns.notes) == ("", [])
 
 
 def without_tenth() -> Callable[[bytes], bytes]:

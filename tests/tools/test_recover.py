@@ -3,20 +3,27 @@
 import io
 import random
 import re
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import pytest
 import yaml
 import zstandard
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
+from launch_scripts.bags import bag, inflate, recovery
+from launch_scripts.bags.bag import open_bag
 from launch_scripts.bags.salvage import salvage
 from launch_scripts.recover import main
 from tests.bag_samples import contents, is_complete, read, read_with_rosbags, write_bag
 from tests.foreign_bags import Sent, write_file
+from tests.workshop.proofs.damaged_bags import KINDS, PLACES
+from tests.workshop.proofs.prove_recovery import prove
 
 DRIVE = [Sent(1000 + number, 0.1 * number, number=number) for number in range(400)]
 
@@ -109,7 +116,7 @@ def test_every_cut_of_an_unchunked_file_gives_the_messages_before_it(tmp_path: P
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
-def test_a_damaged_chunk_is_left_out_and_the_others_are_kept(
+def test_a_damaged_chunk_takes_no_message_of_another_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], number: int
 ) -> None:
     entries, _ = write_bag(tmp_path / "bag", ticks=3)
@@ -122,9 +129,146 @@ def test_a_damaged_chunk_is_left_out_and_the_others_are_kept(
     assert main([str(tmp_path / "bag")]) == 0
     lost_ns = (number + 1) * entries[0].log_time_ns
     kept = [entry for entry in entries if entry.log_time_ns != lost_ns]
-    assert list(read(tmp_path / "bag_recovered")) == kept
+    messages, _ = opened(tmp_path / "bag_recovered" / "bag_recovered_0.mcap")
+    assert len([m for _, _, m in messages if m.log_time != lost_ns]) == len(kept)
+    with open_bag(tmp_path / "bag_recovered") as bag:
+        found = [each for each in bag.messages(bag.topics) if each.log_time_ns != lost_ns]
+        assert [bag.decode(each) for each in found] == [entry.message for entry in kept]
     size = damaged.chunk_length
-    assert f"1 damaged chunks or records, {size} bytes, are left out" in capsys.readouterr().out
+    assert f"1 damaged chunks or records, {size} bytes\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("bit", [3, 17, 30])
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("part", ["chunk", "message", "footer"])
+def test_one_wrong_bit_in_a_head_loses_at_most_that_record(
+    tmp_path: Path, part: str, compression: CompressionType, bit: int
+) -> None:
+    options: dict[str, Any] = {"chunk_size": 3000, "compression": compression}
+    write_file(tmp_path / "bag.mcap", DRIVE, enable_crcs=True, **options)
+    content = bytearray((tmp_path / "bag.mcap").read_bytes())
+    _, summary = opened(tmp_path / "bag.mcap")
+    message = content.find(struct.pack("<HIQQ", 1, 200, 1200, 7)) - 9
+    if part == "message" and message < 0:
+        pytest.skip("the heads of messages are compressed")
+    chunk, footer = summary.chunk_indexes[5].chunk_start_offset, len(content) - 37
+    places = {"chunk": chunk, "message": message, "footer": footer}
+    content[places[part] + bit // 8] ^= 1 << bit % 8
+    result = salvage(io.BytesIO(content), io.BytesIO())
+    assert result.index.statistics is not None
+    assert result.index.statistics.message_count >= len(DRIVE) - (part == "message")
+    assert not result.is_undamaged
+
+
+def test_a_second_frame_is_read_and_a_cut_one_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_file(tmp_path / "plain.mcap", DRIVE, chunk_size=4000)
+    whole = (tmp_path / "plain.mcap").read_bytes()
+    half = len(whole) // 2
+    first, second = zstandard.compress(whole[:half]), zstandard.compress(whole[half:])
+    file = tmp_path / "bag_0.mcap.zstd"
+    file.write_bytes(first + second)
+    assert recovered(file, tmp_path / "all") == without_content(DRIVE)
+    capsys.readouterr()
+    file.write_bytes(first + second[:-20])
+    assert len(recovered(file, tmp_path / "part")) >= len(DRIVE) // 3
+    assert f"{file}: cut off in compressed frame 2\n" in capsys.readouterr().out
+    file.write_bytes(first[:10])
+    assert main([str(file), "--output", str(tmp_path / "nothing")]) == 2
+    assert re.fullmatch(r"error: .*cut off in compressed frame 1; .*\n", capsys.readouterr().err)
+    assert not (tmp_path / "nothing").exists()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_decompresses_without_end_is_left_out(
+    tmp_path: Path, compression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inflate.inflated, "__defaults__", (2**22,))
+    write_file(tmp_path / "bag.mcap", DRIVE, chunk_size=4000)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
+    data, name = pack(bytes(2**26)), compression.encode()
+    body = struct.pack("<QQQII", 0, 1, 2**26, 0, len(name)) + name
+    body += struct.pack("<Q", len(data)) + data
+    end = whole.rindex(struct.pack("<BQ", 15, 4))
+    bomb = whole[:end] + struct.pack("<BQ", 6, len(body)) + body + whole[end:]
+    (tmp_path / "bag.mcap").write_bytes(bomb)
+    found = recovered(tmp_path / "bag.mcap", tmp_path / "new")
+    assert found == without_content(DRIVE)
+
+
+def test_a_file_that_decompresses_without_end_is_read_up_to_the_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag, "MAX_RATIO", 10)
+    write_file(tmp_path / "plain.mcap", DRIVE, chunk_size=4000)
+    frames = zstandard.compress((tmp_path / "plain.mcap").read_bytes() + bytes(2**23))
+    file = tmp_path / "bag_0.mcap.zstd"
+    file.write_bytes(frames)
+    assert recovered(file, tmp_path / "new") == without_content(DRIVE)
+    assert "more than the limit of 2621440 bytes in compressed frame 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("length", [2**20, 2**32 - 1, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("opcode", [1, 4, 5, 6, 9, 12, 200])
+def test_a_record_that_claims_more_than_the_file_has_loses_no_other(
+    tmp_path: Path, opcode: int, length: int
+) -> None:
+    write_file(tmp_path / "bag.mcap", DRIVE[:20], use_chunking=False)
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    head = whole.index(struct.pack("<HIQQ", 1, 10, 1010, 7)) - 9
+    claimed = whole[:head] + struct.pack("<BQ", opcode, length) + whole[head:]
+    result = salvage(io.BytesIO(claimed), io.BytesIO())
+    assert result.index.statistics is not None
+    assert result.index.statistics.message_count == 20
+
+
+@pytest.mark.parametrize("text", ["[" * 20_000, "- " * 100_000, "{a: " * 20_000])
+def test_deeply_nested_metadata_are_ignored(tmp_path: Path, text: str) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text(text)
+    with (bag / "bag_0.mcap").open("wb") as stream:
+        writer: Any = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Bool", "ros2msg", b"bool data\n")
+        metadata = {"offered_qos_profiles": text}
+        channel = writer.register_channel("/flag", "cdr", schema, metadata)
+        writer.add_message(channel, 1, b"\0\1\0\0\1", 1)
+        writer.finish()
+    assert main([str(bag)]) == 0
+    assert len(list(read(tmp_path / "bag_recovered"))) == 1
+
+
+def test_any_error_of_a_library_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_file(tmp_path / "bag.mcap", DRIVE[:5])
+    for error in (MemoryError(), RecursionError("too\ndeep"), KeyError("x")):
+        with monkeypatch.context() as patch:
+            patch.setattr(recovery, "salvage", raise_always(error))
+            assert main([str(tmp_path / "bag.mcap")]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert f"{tmp_path / 'bag.mcap'}: nothing can be read: " in said
+        assert not (tmp_path / "bag_recovered").exists()
+
+
+def raise_always(error: Exception) -> Callable[..., Any]:
+    """Return a function that raises an error."""
+
+    def function(*_: object, **__: object) -> Any:
+        raise error
+
+    return function
+
+
+def test_every_intact_message_of_seeded_damages_is_recovered() -> None:
+    outcomes = list(prove(84, seed=20_000))
+    assert [each for each in outcomes if not each.is_good] == []
+    assert sum(each.intact for each in outcomes) > 5000
+    assert {(each.kind, each.place) for each in outcomes} == {(k, p) for k in KINDS for p in PLACES}
 
 
 def test_the_result_is_a_complete_file_for_any_damage(tmp_path: Path) -> None:

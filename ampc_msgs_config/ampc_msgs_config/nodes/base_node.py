@@ -1,7 +1,6 @@
 """Base of the nodes: parameters with ranges, diagnostics, and an orderly shutdown."""
 
 import gc
-import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -23,6 +22,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -178,21 +178,21 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
     signals: list[int] = []
     created: list[BaseNode] = []
 
-    def on_signal(number: int, _: Any) -> None:
+    def on_signal(number: int, frame: Any) -> None:
         signals.append(number)
         if not created and len(signals) == 1:
-            raise KeyboardInterrupt  # may be swallowed during compilation
+            interrupt(frame)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
     name = getattr(make_node, "__name__", "node").removesuffix("Node").lower()
     try:
+        handle_ending_signals(on_signal)
         try:
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:
             raise ValueError(error) from error
         with log_compilation(name, get_logger(name).info):
             created.append(make_node())
+            cancel_interruption()
         return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0

@@ -1,10 +1,11 @@
 """Node `recorder`: write every topic of the contract to a bag, and count lost messages.
 
 It logs `recording to <folder>` when all subscriptions exist; from then on the folder contains
-`metadata.yaml`. SIGINT and SIGTERM end it, after all messages published before have arrived.
+`metadata.yaml`. SIGINT, SIGTERM, SIGHUP and SIGQUIT end it, after all messages published before
+have arrived. It ends with ERROR in /diagnostics and exit code 1 if its file cannot be written or
+was removed, replaced or truncated.
 """
 
-import signal
 import sys
 import time
 from collections.abc import Iterable
@@ -13,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -30,6 +33,7 @@ from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
+from ampc_msgs_config.signals import handle_ending_signals
 from ampc_msgs_config.types import NANOSECONDS
 
 WRITE_PERIOD = 0.3
@@ -38,6 +42,8 @@ HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
 """Wall time without a message after which no message is in flight [s]."""
+DELIVERY = 0.5
+"""Longest wall time in which the subscribers confirm the last message [s]."""
 KEEP_ALL: dict[str, Any] = {"depth": 0, "history": HistoryPolicy.KEEP_ALL}
 EVERYTHING = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """Request of a recorder."""
@@ -98,8 +104,9 @@ class Recorder(Node):
         self.end_ns = sys.maxsize
         self.last_arrival = time.monotonic()
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
-            qos = LATCHED_EVERYTHING if name in LATCHED_TOPICS else EVERYTHING
-            self.subscribe(full(name), message_type, qos)
+            wanted = LATCHED_EVERYTHING if name in LATCHED_TOPICS else EVERYTHING
+            self.subscribe(full(name), message_type, wanted)
+        self.diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.RELIABLE)
         self.recording = Recording(Path(output))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WRITE_PERIOD, self.on_timer, clock=steady)
@@ -192,6 +199,15 @@ class Recorder(Node):
                 self.recording.add_topic(topic, TF_MESSAGE, [plain_qos(TRANSFORMS[topic])])
             self.recording.write(topic, data, log_time_ns, odometry.publish_ns)
 
+    def report_failure(self, fault: str) -> None:
+        """Publish an ERROR in /diagnostics: the recording has ended."""
+        name = self.get_fully_qualified_name()
+        status = DiagnosticStatus(level=DiagnosticStatus.ERROR, name=name, message=fault)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.diagnostics.publish(message)
+        self.diagnostics.wait_for_all_acked(Duration(seconds=DELIVERY))
+
     def close(self) -> None:
         """Write the remaining messages, close the bag, and log its size."""
         self.write_all(self.arrivals.take_all_before(sys.maxsize))
@@ -272,16 +288,18 @@ def record(recorder: Recorder, signals: list[int]) -> None:
 def main() -> int:
     """Run the node. Own signal handlers: those of rclpy shut the middleware down at once."""
     signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: signals.append(number))
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    code = 2  # wrong parameters
+    handle_ending_signals(lambda number, _: signals.append(number))
+    recorder = None
     try:
-        recorder, code = Recorder(), 1
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        recorder = Recorder()
         record(recorder, signals)
-    except (ValueError, OSError, ParameterException) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return code
+    except (ValueError, OSError, RuntimeError, ParameterException) as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        if recorder is None:
+            return 2  # wrong parameters
+        recorder.report_failure(str(error))
+        return 1
     finally:
         rclpy.try_shutdown()
     return 0

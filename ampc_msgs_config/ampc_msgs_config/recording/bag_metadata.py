@@ -114,15 +114,6 @@ def write_metadata(
         raise
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the content of `metadata.yaml`, empty if it is missing or damaged."""
-    try:
-        content = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
-        return dict(content[ROOT_KEY])
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
-        return {}
-
-
 def to_block_yaml(content: Any) -> str:
     """Return the YAML text of plain lists and mappings."""
     return str(yaml.dump(content, Dumper=FAST_DUMPER, sort_keys=False))

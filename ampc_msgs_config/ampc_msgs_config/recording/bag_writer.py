@@ -4,6 +4,8 @@ Every viewer and `ros2 bag` read them. While messages arrive, chunks are closed 
 operating system at least every half second, so a process that is killed loses less than a second.
 """
 
+import io
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -27,13 +29,26 @@ FLUSH_PERIOD = 0.5
 """Longest wall time that a written message stays in this process [s]."""
 
 
+class CountingFile(io.FileIO):
+    """A file that is only appended to, and counts what was written."""
+
+    written = 0
+    """Number of written bytes."""
+
+    def write(self, data: Any) -> int:
+        """Append bytes; return their number."""
+        count = super().write(data)
+        self.written += count
+        return count
+
+
 class Recording:
     """A bag that is being written; a context manager.
 
     Note:
         `write` closes a chunk every half second. A caller without new messages calls `flush`.
-        If the disk is full, each method raises a ValueError of one line; what was written
-        before stays readable.
+        If the disk is full, each method raises a ValueError of one line; what was written before
+        stays readable. `flush` raises one if the file was removed, replaced or truncated.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -65,7 +80,9 @@ class Recording:
         self.schemas: dict[str, int] = {}
         self.extent = Extent()
         self.flushed = time.monotonic()
-        self.stream = self.draft.open("wb")
+        self.draft.unlink(missing_ok=True)
+        self.raw = CountingFile(self.draft, "ab")
+        self.stream = io.BufferedWriter(self.raw)
         with self.on_disk():
             self.writer: Any = Writer(self.stream)
             self.writer.start(profile="ros2", library="ampc_msgs_config")
@@ -112,12 +129,32 @@ class Recording:
 
     def flush(self) -> None:
         """Close the chunk, and pass all that was written to the operating system."""
+        self.check()
         with self.on_disk():
             self.writer.flush()
             if self.draft.exists():
                 self.draft.replace(self.file)
             write_metadata(self.folder, {self.file.name: self.extent}, self.topics.values())
         self.flushed = time.monotonic()
+
+    def check(self) -> None:
+        """Check that the file is still there and has all that was written to it.
+
+        Raises:
+            ValueError: It was removed, replaced, truncated or changed by another process.
+        """
+        path, fault = self.draft if self.draft.exists() else self.file, ""
+        own = os.fstat(self.raw.fileno())
+        try:
+            if not os.path.samestat(own, path.stat()):
+                fault = "it was replaced by another file"
+        except OSError as error:
+            fault = f"it was removed: {error.strerror}"
+        if not fault and own.st_size != self.raw.written:
+            fault = f"it was changed: {own.st_size} bytes of {self.raw.written} written ones"
+        if fault:
+            self.raw.close()  # what the buffer holds belongs to no file
+            raise ValueError(f"{path}: recording ends: {fault}")
 
     def close(self) -> None:
         """Write the index and the final `metadata.yaml`."""
@@ -132,7 +169,7 @@ class Recording:
         try:
             yield
         except OSError as error:
-            self.stream.raw.close()  # flushing its buffer would fail again
+            self.raw.close()  # flushing its buffer would fail again
             raise ValueError(
                 f"{self.folder}: recording ends: {error.strerror}; "
                 "what was written before stays, and recover makes it a complete bag"

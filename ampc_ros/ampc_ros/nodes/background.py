@@ -183,7 +183,10 @@ def main() -> None:
             outcome = Outcome(error=ValueError(str(error)))
         except Exception as error:
             outcome = Outcome(error=ValueError(f"{type(error).__name__}: {error}"))
-        send(answers, outcome)
+        try:
+            send(answers, outcome)
+        except BrokenPipeError:  # the owner has ended
+            os._exit(0)
 
 
 if __name__ == "__main__":

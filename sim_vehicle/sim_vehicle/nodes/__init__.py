@@ -1,1 +1,5 @@
 """Simulator node."""
+
+from ampc_msgs_config.signals import end_while_importing
+
+end_while_importing()
