@@ -12,9 +12,15 @@ import numpy as np
 from scipy import optimize
 from scipy.ndimage import gaussian_filter1d
 
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
 from ampc_msgs_config.types import Array
-from ampc_ros.identification.model import ModelActuator, ModelCar, actuator_angles, car_motion
+from ampc_ros.identification.model import (
+    STIFFNESS_OF_LOAD,
+    ModelActuator,
+    ModelCar,
+    actuator_angles,
+    car_motion,
+)
 from ampc_ros.identification.recording import (
     GRID_STEP,
     Mask,
@@ -117,6 +123,8 @@ class Start(NamedTuple):
     """Track width [m]."""
     height: float = 0.55
     """Height of the centre of gravity [m]."""
+    front_roll_share: float = 0.55
+    """Front share of the roll stiffness."""
 
 
 def compile_model() -> None:
@@ -176,6 +184,9 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
     """Return the car of a parameter vector."""
     c = start.chassis
     sigma = start.relaxation or RELAXATION_SHARE * c.wheelbase
+    parallel = MEAN_SCRUB + theta[SCRUB]  # 1 - A
+    front_weight = GRAVITY * c.cg_to_rear_axle / c.wheelbase  # per mass
+    roll = start.front_roll_share * start.height / front_weight
     return ModelCar(
         c.mass,
         c.cg_to_front_axle,
@@ -188,7 +199,8 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
         start.front_drive,
         start.front_brake,
         start.rolling,
-        (MEAN_SCRUB + theta[SCRUB]) * (start.track / 2) ** 2,
+        parallel * (start.track / 2) ** 2,
+        parallel * STIFFNESS_OF_LOAD * roll,
         start.height,
     )
 

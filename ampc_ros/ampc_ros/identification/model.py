@@ -57,6 +57,9 @@ class ModelCar(NamedTuple):
     """Rolling resistance divided by the weight."""
     scrub: float
     """(1 - A) w^2 with the Ackermann share A of the steering and half the track w [m^2]."""
+    load_shift: float
+    """(1 - A) w times the relative change of stiffness of the outer front tyre per lateral
+    acceleration [s^2]."""
     height: float
     """Height of the centre of gravity [m]."""
 
@@ -121,7 +124,11 @@ def rates(
 
     The driven front wheels pull the car into the bend; their force follows from the measured
     acceleration. Front wheels that are not steered as Ackermann did (A = 1) have different slip
-    angles on both sides, and their forces turn the car out of the bend.
+    angles on both sides, and their forces turn the car out of the bend. In steady bends the outer
+    tyre also carries more load and is stiffer: with parallel wheels it has the larger slip angle,
+    which increases the force of the axle, and the difference of the forces turns the car out of
+    the bend. Both effects are linear in 1 - A here; the moment exists with A = 1 as well (0.1 % of
+    the yaw rate on a radius of 14 m).
     """
     v_y, r, slip_f, slip_r = z
     L = car.l_f + car.l_r
@@ -136,12 +143,12 @@ def rates(
     share = car.front_drive if F_x > 0.0 else car.front_brake
     Y_f = F_f * cos + share * F_x * sin
     toward = v / relaxation
-    beta, turn = math.atan((v_y + car.l_f * r) / v), car.scrub * r / v
-    N = car.l_f * Y_f - car.l_r * F_r - car.C_f * turn * beta * sin
+    beta, turn, outer = math.atan((v_y + car.l_f * r) / v), car.scrub * r / v, car.load_shift * v * r
+    N = car.l_f * Y_f - car.l_r * F_r - (car.C_f * turn * beta + outer * F_f) * sin
     return (
         (Y_f + F_r) / car.mass - v_x * r,
         N / car.I_z,
-        toward * (delta - beta * (1.0 + turn * r / v) - slip_f),
+        toward * (delta - beta * (1.0 + (turn - outer) * r / v) - slip_f),
         toward * (-math.atan((v_y - car.l_r * r) / v) - slip_r),
     )
 
