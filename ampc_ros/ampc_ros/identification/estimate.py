@@ -15,7 +15,6 @@ from scipy.ndimage import gaussian_filter1d
 from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
 from ampc_msgs_config.types import Array
 from ampc_ros.identification.model import (
-    STIFFNESS_OF_LOAD,
     ModelActuator,
     ModelCar,
     actuator_angles,
@@ -62,7 +61,7 @@ PARAMETERS = (
     TWIST,
     SCRUB,
 ) = range(len(PARAMETERS))
-PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.4])
+PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.5])
 """Standard deviations of weak priors about the start values: they hold what a drive leaves open.
 Only the last five, which no vehicle file contains, have ones that matter."""
 STEPS = np.array(
@@ -70,7 +69,7 @@ STEPS = np.array(
 )
 """Steps of the finite differences."""
 LOWER_BOUND = np.array(
-    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, 0.0, -0.3, -1.5]
+    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, -0.02, -0.3, -1.5]
 )
 UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
 OUTLIER = 6.0
@@ -79,7 +78,7 @@ MOST_OUTLIERS = 0.02
 """Largest share of outliers."""
 FLOOR = 0.003
 """Least standard deviation of an output as a share of its RMS: errors of the model remain."""
-GAIN_ERROR, GEOMETRY_ERROR = 0.0025, 0.2
+GAIN_ERROR, GEOMETRY_ERROR = 0.001, 0.01
 """Standard deviation of the model's error of the yaw rate, as a share of it, in each window: load
 transfer and road, and steering geometry, which grows with the square of the angle [rad]. Without
 it, errors of half a percent would decide on stiffness and inertia against the lateral velocity,
@@ -91,7 +90,7 @@ BIN = 0.1
 BANDWIDTH = 15
 """Bins over which residuals are taken for correlated (Bartlett window)."""
 CURVATURE_OF_TYRES = 0.55
-"""q mu^2 of `axle_force` for the Magic Formula with usual shape factors."""
+"""q mu^2 of `tyre_force` for the Magic Formula with usual shape factors."""
 RELAXATION_SHARE = 0.12
 """Relaxation length of a usual tyre, as a share of the wheelbase."""
 MEAN_SCRUB = 0.5
@@ -125,6 +124,8 @@ class Start(NamedTuple):
     """Height of the centre of gravity [m]."""
     front_roll_share: float = 0.55
     """Front share of the roll stiffness."""
+    stiffest_load: float = 2.0
+    """Load of the largest stiffness of a tyre in static loads, p."""
 
 
 def compile_model() -> None:
@@ -184,9 +185,8 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
     """Return the car of a parameter vector."""
     c = start.chassis
     sigma = start.relaxation or RELAXATION_SHARE * c.wheelbase
-    parallel = MEAN_SCRUB + theta[SCRUB]  # 1 - A
-    front_weight = GRAVITY * c.cg_to_rear_axle / c.wheelbase  # per mass
-    roll = start.front_roll_share * start.height / front_weight
+    share = c.cg_to_rear_axle / c.wheelbase  # of the front axle in the weight
+    roll = start.height / (GRAVITY * start.track / 2)  # times the axle's share of roll and weight
     return ModelCar(
         c.mass,
         c.cg_to_front_axle,
@@ -199,9 +199,13 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
         start.front_drive,
         start.front_brake,
         start.rolling,
-        parallel * (start.track / 2) ** 2,
-        parallel * STIFFNESS_OF_LOAD * roll,
+        start.friction,
+        MEAN_SCRUB + theta[SCRUB],
+        start.track / 2,
         start.height,
+        roll * start.front_roll_share / share,
+        roll * (1 - start.front_roll_share) / (1 - share),
+        start.stiffest_load,
     )
 
 

@@ -139,6 +139,7 @@ def start_of(car: KnownCar) -> Start:
         car.start.body.track,
         car.start.body.cg_height,
         car.start.body.front_roll_share,
+        car.start.tyre.stiffest_load,
     )
 
 
