@@ -16,7 +16,7 @@ TIME_STEP = 0.005
 """Step of the integration along the time [s]."""
 RAMP = 2.0
 """Time over which one part changes into the next [s]."""
-SPEED_CHANGE = 1.2
+SPEED_CHANGE = 1.0
 """Mean acceleration from part to part, at full size [m/s^2]."""
 SHARE_OF_ANGLE = 0.85
 """Share of the largest steering angle that the tightest bend may need."""
@@ -47,16 +47,16 @@ class ManoeuvrePart(NamedTuple):
 
 
 MANOEUVRE = (
-    ManoeuvrePart(6.1, 3.3, 0.0, 1.0, 0.45, 0.55),
-    ManoeuvrePart(6.0, 4.2, 1.61, 0.2, 0.4, 1.2),
-    ManoeuvrePart(15.3, 9.5, 2.45, 0.12, 0.3, 1.3),
-    ManoeuvrePart(10.4, 4.2, 1.72, 0.2, 0.4, 1.2),
-    ManoeuvrePart(7.1, 4.2, -1.35, 0.2, 0.4, 1.2),
-    ManoeuvrePart(15.1, 9.5, -2.45, 0.12, 0.3, 1.3),
+    ManoeuvrePart(6.0, 3.3, 0.0, 1.0, 0.45, 0.55),
+    ManoeuvrePart(6.2, 4.2, 1.65, 0.2, 0.4, 1.2),
+    ManoeuvrePart(15.6, 9.3, 2.35, 0.25, 0.3, 1.5),
+    ManoeuvrePart(10.0, 4.2, 1.7, 0.2, 0.4, 1.2),
+    ManoeuvrePart(6.8, 4.6, -1.0, 0.2, 0.4, 1.2),
+    ManoeuvrePart(15.5, 9.3, -2.35, 0.25, 0.3, 1.5),
 )
 """60 s. Durations and bends were found by a search for the smallest square. The first part has a
 steering rate of 0.8 rad/s at full size."""
-HEADING = 0.977
+HEADING = 0.349
 """Heading at the begin for which the square is smallest [rad]."""
 
 
