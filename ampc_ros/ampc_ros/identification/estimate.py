@@ -267,6 +267,10 @@ class Problem(NamedTuple):
     """(14,) values of the others."""
     centre: Array
     """(14,) centre of the priors."""
+    window: RowIndices
+    """Number of the window of GAIN_WINDOW of each yaw rate."""
+    gain_error: Array
+    """Standard deviation of the model's error of each yaw rate [rad/s]."""
 
     def full(self, p: Array) -> Array:
         """Return all parameters."""
@@ -289,13 +293,7 @@ class Problem(NamedTuple):
 
         In each window the component along the yaw rate is divided by its standard deviation.
         """
-        rows = joined([output_times(self.recording, s) for s in self.segments]).yaw_rate
-        window = np.unique(np.floor(rows / GAIN_WINDOW), return_inverse=True)[1]
-        every = np.concatenate([s.rows for s in self.segments])
-        yaw = gaussian_filter1d(self.recording.yaw_rate[every], 3.0)
-        speed = np.maximum(gaussian_filter1d(self.recording.v_x[every], 3.0), 0.5)
-        error = GAIN_ERROR + GEOMETRY_ERROR * (self.start.chassis.wheelbase * yaw / speed) ** 2
-        b = self.weights.yaw_rate * error * yaw
+        window, b = self.window, self.weights.yaw_rate * self.gain_error
         square = np.bincount(window, b * b) + 1e-12
         share = np.bincount(window, b * residual) / square * (1 - 1 / np.sqrt(1 + square))
         return np.asarray(residual - share[window] * b)
@@ -417,7 +415,15 @@ def weighted(
         *(np.full(len(y), 1.0 / s) for y, s in zip(values, sigma, strict=True))
     )
     centre = np.zeros(len(PARAMETERS))
-    return Problem(recording, segments, start, weights, free, theta.copy(), centre)
+    rows = joined([output_times(recording, s) for s in segments]).yaw_rate
+    window = np.unique(np.floor(rows / GAIN_WINDOW), return_inverse=True)[1]
+    every = np.concatenate([s.rows for s in segments])
+    yaw = gaussian_filter1d(recording.yaw_rate[every], 3.0)
+    speed = np.maximum(gaussian_filter1d(recording.v_x[every], 3.0), 0.5)
+    error = GAIN_ERROR + GEOMETRY_ERROR * (start.chassis.wheelbase * yaw / speed) ** 2
+    return Problem(
+        recording, segments, start, weights, free, theta.copy(), centre, window, error * yaw
+    )
 
 
 def reweighted(
