@@ -69,9 +69,9 @@ STEPS = np.array(
 )
 """Steps of the finite differences."""
 LOWER_BOUND = np.array(
-    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, -0.02, -0.3, -1.5]
+    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, -0.005, -0.3, -0.75]
 )
-UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
+UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 0.75])
 OUTLIER = 6.0
 """Residual in robust standard deviations beyond which a row is left out."""
 MOST_OUTLIERS = 0.02
