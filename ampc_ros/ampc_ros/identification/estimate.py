@@ -76,7 +76,7 @@ OUTLIER = 6.0
 """Residual in robust standard deviations beyond which a row is left out."""
 MOST_OUTLIERS = 0.02
 """Largest share of outliers."""
-FLOOR = 0.003
+FLOOR = 0.01
 """Least standard deviation of an output as a share of its RMS: errors of the model remain."""
 GAIN_ERROR, GEOMETRY_ERROR = 0.001, 0.01
 """Standard deviation of the model's error of the yaw rate, as a share of it, in each window: load
