@@ -163,8 +163,8 @@ def make_segment(recording: RecordedDrive, rows: RowIndices) -> Segment:
     s = recording.steering_time
     return Segment(
         grid,
-        savgol_filter(measured, window, 3),
-        savgol_filter(measured, window, 3, deriv=1, delta=GRID_STEP),
+        np.asarray(savgol_filter(measured, window, 3), dtype=np.float64),
+        np.asarray(savgol_filter(measured, window, 3, deriv=1, delta=GRID_STEP), dtype=np.float64),
         restart,
         rows[t >= begin],
         np.flatnonzero((s >= begin) & (s <= t[-1])),
