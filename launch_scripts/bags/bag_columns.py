@@ -34,7 +34,7 @@ UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
 STEERING = (topics.STEERING_COMMAND, topics.STEERING_STATE)
 MAX_PREDICTIONS = 1000
 """At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
-ODOMETRY = "nav_msgs/msg/Odometry"
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 FIRST_STAMP = 10 * NANOSECONDS
 """A clock that starts at 0 has stamps below this; otherwise a stamp of 0 was never set [ns]."""
 LARGEST_VALUE = 1e12
@@ -118,7 +118,7 @@ def read_columns(
 
 def odometry_topics(bag: Bag) -> list[str]:
     """Return all topics of a bag that hold odometry, in alphabetical order."""
-    return sorted(topic for topic, type_ in bag.topics.items() if type_ == ODOMETRY)
+    return sorted(topic for topic, type_ in bag.topics.items() if type_ == ODOMETRY_TYPE)
 
 
 def selected(bag: Bag, namespace: str | None, odom: str | None) -> tuple[str, str]:
@@ -140,7 +140,7 @@ def selected(bag: Bag, namespace: str | None, odom: str | None) -> tuple[str, st
         namespace = namespace_of(bag)
     namespace = namespace.rstrip("/")
     topic = "/" + odom.lstrip("/") if odom else f"{namespace}/{topics.ODOM}"
-    if topic in bag.topics and (not odom or bag.topics[topic] == ODOMETRY):
+    if topic in bag.topics and (not odom or bag.topics[topic] == ODOMETRY_TYPE):
         return namespace, topic
     raise ValueError(f"{bag.path}: holds no odometry on {topic}{other_odometry(bag)}")
 

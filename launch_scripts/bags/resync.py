@@ -37,7 +37,7 @@ HEAD = struct.Struct("<BQ")
 """Start of a record: its opcode and the length of its content [bytes]."""
 MESSAGE = struct.Struct("<HIQQ")
 """Start of a message: channel, sequence number, log time and publish time [ns]."""
-CHUNK = struct.Struct("<QQQII")
+CHUNK_HEAD = struct.Struct("<QQQII")
 """Start of a chunk: times [ns], uncompressed size, checksum, length of the compression's name."""
 MAX_RECORD_LENGTH = 2**30
 """Longest content of a record [bytes]; a longer one is taken for damage."""
@@ -47,7 +47,7 @@ LENGTHS: dict[int, tuple[int, int]] = {
     Opcode.SCHEMA: (14, 2**26),
     Opcode.CHANNEL: (16, 2**26),
     Opcode.MESSAGE: (MESSAGE.size, MAX_RECORD_LENGTH),
-    Opcode.CHUNK: (CHUNK.size + 8, MAX_RECORD_LENGTH),
+    Opcode.CHUNK: (CHUNK_HEAD.size + 8, MAX_RECORD_LENGTH),
     Opcode.MESSAGE_INDEX: (6, 2**30),
     Opcode.CHUNK_INDEX: (64, 2**26),
     Opcode.ATTACHMENT: (36, MAX_RECORD_LENGTH),
@@ -77,7 +77,7 @@ STARTS = re.compile(
 """Bytes with which a record or compressed data may begin."""
 NEVER_EMPTY = ("offset", "chunk_length", "name", "topic")
 """Fields that are neither 0 nor empty; zeros inside a message look like other records."""
-WINDOW = 2**20
+READ_WINDOW = 2**20
 """Bytes that are searched at a time."""
 CDR = re.compile(rb"\0[\1\3\5\7\x09\x0b]\0[\0-\3]|" + re.escape(ZSTD_MAGIC), re.DOTALL)
 """Start of a message: encapsulation of CDR, little endian, or Zstandard."""
@@ -208,15 +208,15 @@ class Scanner:
 
     def chunk_head(self, start: int, length: int) -> ChunkHead | None:
         """Return the start of a chunk whose content begins at `start`, if its lengths agree."""
-        content = self.read(start, CHUNK.size + 40)
-        if len(content) < CHUNK.size:
+        content = self.read(start, CHUNK_HEAD.size + 40)
+        if len(content) < CHUNK_HEAD.size:
             return None
-        _, _, _, crc, name_length = CHUNK.unpack_from(content)
-        size = CHUNK.size + name_length + 8
+        _, _, _, crc, name_length = CHUNK_HEAD.unpack_from(content)
+        size = CHUNK_HEAD.size + name_length + 8
         if name_length > 32 or len(content) < size:
             return None
         (data_length,) = struct.unpack_from("<Q", content, size - 8)
-        name = content[CHUNK.size : size - 8].decode("ascii", "replace")
+        name = content[CHUNK_HEAD.size : size - 8].decode("ascii", "replace")
         return ChunkHead(crc, name, size) if size + data_length == length else None
 
     def chunk_at(self, position: int, end: int, chunk: ChunkHead) -> Record:
@@ -248,15 +248,15 @@ class Scanner:
         """Return whether compressed data at a position begin with a record."""
         compression = compression_of(self.read(position, 4))
         self.stream.seek(position)
-        pieces = inflate(self.stream, compression, WINDOW, Inflation())
+        pieces = inflate(self.stream, compression, READ_WINDOW, Inflation())
         content = next(filter(None, pieces), b"")
         return Scanner(io.BytesIO(content), self.channels).head_at(0) is not None
 
     def crc(self, start: int, end: int) -> int:
         """Return the checksum of a range."""
         value = 0
-        for place in range(start, end, WINDOW):
-            value = zlib.crc32(self.read(place, min(WINDOW, end - place)), value)
+        for place in range(start, end, READ_WINDOW):
+            value = zlib.crc32(self.read(place, min(READ_WINDOW, end - place)), value)
         return value
 
     def find(self, start: int, end: int, *, is_inside: bool = False) -> int | None:
@@ -267,11 +267,11 @@ class Scanner:
             end: End of the range [bytes].
             is_inside: Only messages that end inside the range, too.
         """
-        for begin in range(start, end, WINDOW):
-            window = self.read(begin, WINDOW + HEAD.size)
+        for begin in range(start, end, READ_WINDOW):
+            window = self.read(begin, READ_WINDOW + HEAD.size)
             for match in STARTS.finditer(window):
                 position = begin + match.start()
-                if match.start() >= WINDOW or position >= end:
+                if match.start() >= READ_WINDOW or position >= end:
                     break
                 if is_inside and not self.is_message_inside(position, end):
                     continue

@@ -48,7 +48,7 @@ DAMAGE = (
 INSIDE = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 """Records that a chunk may contain."""
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
-PROFILES = ("", "ros1", "ros2")
+BAG_PROFILES = ("", "ros1", "ros2")
 FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)
 """Length of the end of a file, from the footer on [bytes]."""
 
@@ -390,5 +390,5 @@ class Copier:
     def start(self, profile: str, library: str) -> None:
         """Write the header, once."""
         if not self.has_started:
-            self.writer.start(profile if profile in PROFILES else "ros2", library)
+            self.writer.start(profile if profile in BAG_PROFILES else "ros2", library)
         self.has_started = True

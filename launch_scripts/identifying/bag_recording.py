@@ -56,6 +56,8 @@ class StartVehicle(NamedTuple):
             float(drive.get("rolling_resistance", usual.rolling)),
             float(body.get("track", TRACK_SHARE * wheelbase)),
             float(body.get("cg_height", HEIGHT_SHARE * wheelbase)),
+            float(body.get("front_roll_share", usual.front_roll_share)),
+            float(tyre.get("stiffest_load", usual.stiffest_load)),
         )
 
 

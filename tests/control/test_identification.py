@@ -17,6 +17,7 @@ from ampc_ros.identification.recording import RecordedDrive, recording_of, usabl
 from ampc_ros.identification.result import RULES, Identification, identified_chassis, identify
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 from tests.workshop.acceptance.identification_drives import (
+    Driven,
     KnownCar,
     drive_manoeuvre,
     random_car,
@@ -40,9 +41,26 @@ def known(name: str, seed: int, delay: float | None = None) -> KnownCar:
 
 
 @cache
-def recorded(name: str, seed: int, delay: float | None = None) -> RecordedDrive:
+def driven(name: str, seed: int, delay: float | None = None) -> Driven:
     """Return the drive of a random car."""
-    return drive_manoeuvre(known(name, seed, delay), np.random.default_rng(seed)).recording
+    return drive_manoeuvre(known(name, seed, delay), np.random.default_rng(seed))
+
+
+def recorded(name: str, seed: int, delay: float | None = None) -> RecordedDrive:
+    """Return the recording of the drive of a random car."""
+    return driven(name, seed, delay).recording
+
+
+def first_part(recording: RecordedDrive, seconds: float) -> RecordedDrive:
+    """Return the begin of a drive, which is identified in less time."""
+    end = recording.time[0] + seconds
+    state, command, steering = (
+        t < end for t in (recording.time, recording.command_time, recording.steering_time)
+    )
+    t, x, y, yaw, v_x, v_y, r = (values[state] for values in recording[:7])
+    sent = recording.command_time[command], recording.command[command]
+    seen = recording.steering_time[steering], recording.steering[steering]
+    return RecordedDrive(t, x, y, yaw, v_x, v_y, r, *sent, *seen, recording.age)
 
 
 def without_steering(recording: RecordedDrive) -> RecordedDrive:
@@ -109,19 +127,29 @@ def test_without_measured_steering_the_sum_of_delay_and_lag_is_identified() -> N
     assert "part of the delay" in found["latency"].reason
 
 
-def test_measured_steering_may_have_another_rate_and_other_stamps() -> None:
+def test_stamps_may_jump_and_those_of_the_steering_may_differ_from_the_odometry() -> None:
     car, drive = known("ordinary", 41), recorded("ordinary", 41)
+
+    def late(time: Array) -> Array:
+        return np.where(time > 30.0, time + 1000.0, time)
+
     time = drive.steering_time[1:-5:3] + 0.007
-    angle = np.interp(time, drive.steering_time, drive.steering)
-    result = identify(drive._replace(steering_time=time, steering=angle), start_of(car))
+    shifted = drive._replace(
+        time=late(drive.time),
+        command_time=late(drive.command_time),
+        steering_time=late(time),
+        steering=np.interp(time, drive.steering_time, drive.steering),
+    )
+    result = identify(shifted, start_of(car))
     steering, found = car.vehicle.steering, result.quantities
+    assert found["offset"].value == pytest.approx(car.offset, abs=math.radians(0.1))
     assert found["delay"].value == pytest.approx(steering.delay, abs=0.01)
     assert found["lag"].value == pytest.approx(steering.lag, abs=0.015)
 
 
 def test_a_steering_without_delay_and_lag_is_found_to_have_none() -> None:
     car = known("ordinary", 43, 0.0)
-    result = identify(recorded("ordinary", 43, 0.0), start_of(car))
+    result = identify(first_part(recorded("ordinary", 43, 0.0), 25.0), start_of(car))
     for name, most in (("delay", 0.01), ("lag", 0.015)):
         assert result.quantities[name].value <= most
         assert result.quantities[name].interval[0] >= 0.0
@@ -187,23 +215,6 @@ def test_unusable_parts_of_a_drive_are_left_out_by_reason() -> None:
     assert {"lateral acceleration", "no command"} <= shares.keys()
 
 
-def test_a_jump_of_the_stamps_parts_a_drive() -> None:
-    drive, car = recorded("ordinary", 41), known("ordinary", 41)
-
-    def late(time: Array) -> Array:
-        return np.where(time > 30.0, time + 1000.0, time)
-
-    shifted = drive._replace(
-        time=late(drive.time),
-        command_time=late(drive.command_time),
-        steering_time=late(drive.steering_time),
-    )
-    result = identify(shifted, start_of(car))
-    assert result.quantities["offset"].value == pytest.approx(car.offset, abs=math.radians(0.1))
-    delay = car.vehicle.steering.delay
-    assert result.quantities["delay"].value == pytest.approx(delay, abs=0.01)
-
-
 def test_a_drive_without_a_usable_part_is_refused_with_the_reason() -> None:
     drive = straight(5.0)
     with pytest.raises(ValueError, match="standstill"):
@@ -261,10 +272,10 @@ def test_the_manoeuvre_stays_within_its_area_acceleration_and_time(
 
 
 def test_badly_known_cars_of_all_sizes_drive_the_manoeuvre_below_3_m_s2() -> None:
-    for name in ("bus", "model_car", "ordinary"):
-        driven = drive_manoeuvre(known(name, 44), np.random.default_rng(44))
-        assert driven.lateral_acceleration < 3.0
-        assert max(driven.area) < 80.0
+    for name, seed in (("bus", 44), ("model_car", 44), ("ordinary", 41)):
+        drive = driven(name, seed)
+        assert drive.lateral_acceleration < 3.0
+        assert max(drive.area) < 80.0
 
 
 def test_odometry_without_noise_gives_no_false_certainty() -> None:
@@ -273,3 +284,29 @@ def test_odometry_without_noise_gives_no_false_certainty() -> None:
     result = identify(drive.recording, start_of(car))
     check_targets(car, result)
     assert vehicle_of("paper").chassis.mass == result.chassis.mass
+
+
+def test_lateral_load_transfer_makes_the_stiffly_rolling_axle_softer() -> None:
+    """A car whose front axle carries the roll understeers more, by the formula of Pacejka."""
+    v, n = 9.5, 600
+    flat, delta = np.full(n, v), np.full(n, 0.08)
+
+    def yaw_rate(share: float, height: float) -> float:
+        start = Start(CHASSIS, front_drive=0.0, rolling=0.0, height=height, front_roll_share=share)
+        theta = np.zeros(14)
+        theta[13] = -0.5  # Ackermann steering: equal slip angles
+        car = car_parameters(theta, start)
+        return float(car_motion(delta, flat, 0.0 * flat, np.full(n, np.nan), 0.01, car)[-1, 1])
+
+    flat_car = yaw_rate(0.5, 0.0)
+    assert yaw_rate(1.0, 0.55) < flat_car < yaw_rate(0.0, 0.55)
+    # Front axle: x = h a_y / (w g l_r / L), the sum of u 5 / (4 + u^2) over both tyres
+    r = yaw_rate(1.0, 0.55)
+    x = 0.55 * v * r / (0.75 * 9.81 * CHASSIS.cg_to_rear_axle / CHASSIS.wheelbase)
+    softer = sum(5 * u / (4 + u * u) for u in (1 - x, 1 + x)) / 2
+    m, L = CHASSIS.mass, CHASSIS.wheelbase
+    C_f, C_r = CHASSIS.front_cornering_stiffness * softer, CHASSIS.rear_cornering_stiffness
+    K = m / L * (CHASSIS.cg_to_rear_axle / (2 * C_f) - CHASSIS.cg_to_front_axle / (2 * C_r))
+    assert r / flat_car == pytest.approx(
+        (L + CHASSIS.understeer_gradient * v**2) / (L + K * v**2), rel=2e-3
+    )

@@ -14,7 +14,7 @@ FULL_SIZE = 2.7
 with speeds that give the same lateral acceleration."""
 TIME_STEP = 0.005
 """Step of the integration along the time [s]."""
-RAMP = 1.2
+RAMP = 2.0
 """Time over which one part changes into the next [s]."""
 SPEED_CHANGE = 1.0
 """Mean acceleration from part to part, at full size [m/s^2]."""
@@ -47,17 +47,16 @@ class ManoeuvrePart(NamedTuple):
 
 
 MANOEUVRE = (
-    ManoeuvrePart(9.2, 3.3, 0.0, 1.0, 0.45, 0.55),
-    ManoeuvrePart(7.0, 9.8, -1.78, 0.4, 0.5, 1.6),
-    ManoeuvrePart(11.1, 5.4, -2.09, 0.3, 0.4, 1.2),
-    ManoeuvrePart(11.1, 7.2, 2.09, 0.3, 0.3, 1.0),
-    ManoeuvrePart(6.1, 9.8, 1.87, 0.4, 0.3, 1.3),
-    ManoeuvrePart(9.6, 5.4, 1.8, 0.3, 0.3, 0.9),
-    ManoeuvrePart(5.9, 9.8, 1.1, 0.4, 0.25, 0.8),
+    ManoeuvrePart(6.0, 3.3, 0.0, 1.0, 0.45, 0.55),
+    ManoeuvrePart(6.2, 4.2, 1.65, 0.2, 0.4, 1.2),
+    ManoeuvrePart(15.6, 9.3, 2.35, 0.25, 0.3, 1.5),
+    ManoeuvrePart(10.0, 4.2, 1.7, 0.2, 0.4, 1.2),
+    ManoeuvrePart(6.8, 4.6, -1.0, 0.2, 0.4, 1.2),
+    ManoeuvrePart(15.5, 9.3, -2.35, 0.25, 0.3, 1.5),
 )
 """60 s. Durations and bends were found by a search for the smallest square. The first part has a
 steering rate of 0.8 rad/s at full size."""
-HEADING = 1.309
+HEADING = 0.349
 """Heading at the begin for which the square is smallest [rad]."""
 
 

@@ -37,7 +37,7 @@ FILTER_SIZE = 8
 PARAMETERS_AT = (LATENCY_CHANGE, GRADIENT, STEERING_OFFSET, STIFFNESS)
 DIFFERENCES = slice(LATENCY_CHANGE, STIFFNESS + 1)
 
-SHORTEST_STEP, LONGEST_GAP = 0.09, 0.5
+SHORTEST_STEP, LONGEST_PAUSE_OF_STATES = 0.09, 0.5
 """Time between two measurements of the yaw rate that are used [s]."""
 UNKNOWN_DEVIATION, STATED_DEVIATION = 0.06, 0.03
 """Standard deviation of a latency that is not stated, and of one that is [s]."""
@@ -275,7 +275,7 @@ class Adaptation:
         if 0.0 <= elapsed < SHORTEST_STEP:
             return
         fast = state.v_x * abs(state.yaw_rate) > self.most_acceleration
-        if not 0.0 < elapsed <= LONGEST_GAP or state.v_x < self.slowest or fast:
+        if not 0.0 < elapsed <= LONGEST_PAUSE_OF_STATES or state.v_x < self.slowest or fast:
             self._start(state)
             return
         anchor, self.anchor = self.anchor, state

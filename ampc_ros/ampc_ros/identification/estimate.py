@@ -12,9 +12,14 @@ import numpy as np
 from scipy import optimize
 from scipy.ndimage import gaussian_filter1d
 
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import GRAVITY, ChassisParameters
 from ampc_msgs_config.types import Array
-from ampc_ros.identification.model import ModelActuator, ModelCar, actuator_angles, car_motion
+from ampc_ros.identification.model import (
+    ModelActuator,
+    ModelCar,
+    actuator_angles,
+    car_motion,
+)
 from ampc_ros.identification.recording import (
     GRID_STEP,
     Mask,
@@ -56,7 +61,7 @@ PARAMETERS = (
     TWIST,
     SCRUB,
 ) = range(len(PARAMETERS))
-PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.4])
+PRIOR = np.array([1.0, 1.0, 3.0, 1.0, 0.3, 1.0, 1.0, 0.3, 3.0, 0.7, 0.4, 0.05, 0.05, 0.5])
 """Standard deviations of weak priors about the start values: they hold what a drive leaves open.
 Only the last five, which no vehicle file contains, have ones that matter."""
 STEPS = np.array(
@@ -64,16 +69,16 @@ STEPS = np.array(
 )
 """Steps of the finite differences."""
 LOWER_BOUND = np.array(
-    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, 0.0, -0.3, -1.5]
+    [0.0, 0.0, -6.0, -1.5, -0.3, -3.0, -3.0, -3.0, -10.0, -4.0, -2.0, -0.005, -0.3, -0.75]
 )
-UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 1.5])
+UPPER_BOUND = np.array([0.8, 0.8, 6.0, 1.5, 0.3, 3.0, 3.0, 3.0, 15.0, 3.0, 2.0, 0.4, 0.3, 0.75])
 OUTLIER = 6.0
 """Residual in robust standard deviations beyond which a row is left out."""
 MOST_OUTLIERS = 0.02
 """Largest share of outliers."""
-FLOOR = 0.003
+FLOOR = 0.01
 """Least standard deviation of an output as a share of its RMS: errors of the model remain."""
-GAIN_ERROR, GEOMETRY_ERROR = 0.0025, 0.2
+GAIN_ERROR, GEOMETRY_ERROR = 0.001, 0.01
 """Standard deviation of the model's error of the yaw rate, as a share of it, in each window: load
 transfer and road, and steering geometry, which grows with the square of the angle [rad]. Without
 it, errors of half a percent would decide on stiffness and inertia against the lateral velocity,
@@ -85,7 +90,7 @@ BIN = 0.1
 BANDWIDTH = 15
 """Bins over which residuals are taken for correlated (Bartlett window)."""
 CURVATURE_OF_TYRES = 0.55
-"""q mu^2 of `axle_force` for the Magic Formula with usual shape factors."""
+"""q mu^2 of `tyre_force` for the Magic Formula with usual shape factors."""
 RELAXATION_SHARE = 0.12
 """Relaxation length of a usual tyre, as a share of the wheelbase."""
 MEAN_SCRUB = 0.5
@@ -117,6 +122,10 @@ class Start(NamedTuple):
     """Track width [m]."""
     height: float = 0.55
     """Height of the centre of gravity [m]."""
+    front_roll_share: float = 0.55
+    """Front share of the roll stiffness."""
+    stiffest_load: float = 2.0
+    """Load of the largest stiffness of a tyre in static loads, p."""
 
 
 def compile_model() -> None:
@@ -176,6 +185,8 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
     """Return the car of a parameter vector."""
     c = start.chassis
     sigma = start.relaxation or RELAXATION_SHARE * c.wheelbase
+    share = c.cg_to_rear_axle / c.wheelbase  # of the front axle in the weight
+    roll = start.height / (GRAVITY * start.track / 2)  # times the axle's share of roll and weight
     return ModelCar(
         c.mass,
         c.cg_to_front_axle,
@@ -188,8 +199,13 @@ def car_parameters(theta: Array, start: Start) -> ModelCar:
         start.front_drive,
         start.front_brake,
         start.rolling,
-        (MEAN_SCRUB + theta[SCRUB]) * (start.track / 2) ** 2,
+        start.friction,
+        MEAN_SCRUB + theta[SCRUB],
+        start.track / 2,
         start.height,
+        roll * start.front_roll_share / share,
+        roll * (1 - start.front_roll_share) / (1 - share),
+        start.stiffest_load,
     )
 
 
@@ -251,6 +267,10 @@ class Problem(NamedTuple):
     """(14,) values of the others."""
     centre: Array
     """(14,) centre of the priors."""
+    window: RowIndices
+    """Number of the window of GAIN_WINDOW of each yaw rate."""
+    gain_error: Array
+    """Standard deviation of the model's error of each yaw rate [rad/s]."""
 
     def full(self, p: Array) -> Array:
         """Return all parameters."""
@@ -273,13 +293,7 @@ class Problem(NamedTuple):
 
         In each window the component along the yaw rate is divided by its standard deviation.
         """
-        rows = joined([output_times(self.recording, s) for s in self.segments]).yaw_rate
-        window = np.unique(np.floor(rows / GAIN_WINDOW), return_inverse=True)[1]
-        every = np.concatenate([s.rows for s in self.segments])
-        yaw = gaussian_filter1d(self.recording.yaw_rate[every], 3.0)
-        speed = np.maximum(gaussian_filter1d(self.recording.v_x[every], 3.0), 0.5)
-        error = GAIN_ERROR + GEOMETRY_ERROR * (self.start.chassis.wheelbase * yaw / speed) ** 2
-        b = self.weights.yaw_rate * error * yaw
+        window, b = self.window, self.weights.yaw_rate * self.gain_error
         square = np.bincount(window, b * b) + 1e-12
         share = np.bincount(window, b * residual) / square * (1 - 1 / np.sqrt(1 + square))
         return np.asarray(residual - share[window] * b)
@@ -401,7 +415,15 @@ def weighted(
         *(np.full(len(y), 1.0 / s) for y, s in zip(values, sigma, strict=True))
     )
     centre = np.zeros(len(PARAMETERS))
-    return Problem(recording, segments, start, weights, free, theta.copy(), centre)
+    rows = joined([output_times(recording, s) for s in segments]).yaw_rate
+    window = np.unique(np.floor(rows / GAIN_WINDOW), return_inverse=True)[1]
+    every = np.concatenate([s.rows for s in segments])
+    yaw = gaussian_filter1d(recording.yaw_rate[every], 3.0)
+    speed = np.maximum(gaussian_filter1d(recording.v_x[every], 3.0), 0.5)
+    error = GAIN_ERROR + GEOMETRY_ERROR * (start.chassis.wheelbase * yaw / speed) ** 2
+    return Problem(
+        recording, segments, start, weights, free, theta.copy(), centre, window, error * yaw
+    )
 
 
 def reweighted(

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter1d
+from scipy.signal import savgol_filter
 
 from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import Array
@@ -12,7 +13,10 @@ from ampc_msgs_config.types import Array
 GRID_STEP = 0.01
 """Step of the simulation [s]."""
 SMOOTHING = 0.2
-"""Standard deviation of the Gaussian that smooths the speed [s]."""
+"""Standard deviation of the Gaussian that smooths the signals which select rows [s]."""
+FIT = 0.8
+"""Window in which the speed is a cubic polynomial. A Gaussian would change it by 1 % where the car
+begins to accelerate, and with it the curvature of tight bends [s]."""
 LEAST_SPEED = 0.7
 """Speed above which rows are used [m/s]."""
 LARGEST_LATERAL = 4.0
@@ -81,7 +85,7 @@ class Segment(NamedTuple):
     grid: Array
     """(g,) times [s]."""
     speed: Array
-    """(g,) smoothed speed [m/s]."""
+    """(g,) speed without noise [m/s]."""
     acceleration: Array
     """(g,) its derivative [m/s^2]."""
     restart: Array
@@ -152,17 +156,15 @@ def make_segment(recording: RecordedDrive, rows: RowIndices) -> Segment:
     """Return the segment of contiguous rows."""
     t = recording.time[rows]
     grid = np.arange(t[0], t[-1] + GRID_STEP, GRID_STEP)
-    speed = gaussian_filter1d(
-        np.interp(grid, t, recording.v_x[rows]), SMOOTHING / GRID_STEP, mode="nearest"
-    )
+    measured, window = np.interp(grid, t, recording.v_x[rows]), round(FIT / GRID_STEP) | 1
     restart = np.full(len(grid), np.nan)
     restart[0] = float(np.mean(recording.yaw_rate[rows[:5]]))
     begin = t[0] + WASHOUT
     s = recording.steering_time
     return Segment(
         grid,
-        speed,
-        np.gradient(speed, GRID_STEP),
+        np.asarray(savgol_filter(measured, window, 3), dtype=np.float64),
+        np.asarray(savgol_filter(measured, window, 3, deriv=1, delta=GRID_STEP), dtype=np.float64),
         restart,
         rows[t >= begin],
         np.flatnonzero((s >= begin) & (s <= t[-1])),

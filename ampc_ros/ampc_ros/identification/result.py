@@ -266,7 +266,7 @@ def quantities_of(
         "rear_cornering_stiffness": (car.rear_cornering_stiffness, 0.0, 0.0),
         "yaw_inertia": (car.yaw_inertia, 0.0, 0.0),
         "measured_point": (theta[X_P], deviation(unit(X_P)), c.wheelbase),
-        "latency": (theta[LATENCY], deviation(unit(LATENCY)), 1.0),
+        "latency": (max(theta[LATENCY], 0.0), deviation(unit(LATENCY)), 1.0),
     }
     for name, parameter in (
         ("ratio", RATIO),

@@ -138,6 +138,8 @@ def start_of(car: KnownCar) -> Start:
         powertrain.rolling_resistance,
         car.start.body.track,
         car.start.body.cg_height,
+        car.start.body.front_roll_share,
+        car.start.tyre.stiffest_load,
     )
 
 
