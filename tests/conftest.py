@@ -1,6 +1,7 @@
 """Fixtures and markers of all tests: ROS domains, and a check that no process is left."""
 
 import os
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -22,6 +23,15 @@ GRACE = 10.0
 # Hypothesis draws constants of the modules that a process has loaded. Without this line, the
 # examples of a derandomised test would depend on the earlier tests of the same worker.
 providers.is_local_module_file = lambda _: False  # type: ignore[assignment, attr-defined]
+
+
+def pytest_configure() -> None:
+    """Let signals end the processes of the tests, also where these were started with `nohup`."""
+    for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
