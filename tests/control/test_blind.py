@@ -103,7 +103,7 @@ def test_a_heading_that_jumps_is_refused_where_the_position_returns() -> None:
 def supervised() -> Supervisor:
     """Return a controller without prediction, with a fast wheel, on a winding road."""
     config = configuration(Choices(guard="track"))
-    settings = replace(config.settings, state_prediction=0.0)
+    settings = replace(config.settings, state_prediction=0.0, adaptation=False)
     supervisor = Supervisor(config._replace(settings=settings))
     supervisor.take_path(WAVES, START_NS, START_NS)
     return supervisor

@@ -392,6 +392,7 @@ class OnWaves:
 
     def __init__(self, points: Any = WAVES, **settings: Any) -> None:
         """Start at 0 s, settings replaced."""
+        settings = {"adaptation": False, **settings}
         self.supervisor = Supervisor(with_settings(made_for(), **settings))
         self.supervisor.take_path(points, START_NS, START_NS)
         self.time = 0.0
@@ -558,7 +559,7 @@ def test_a_restart_in_the_drive_keeps_the_history_of_commands() -> None:
 def test_after_a_clock_that_jumped_back_the_angle_in_force_is_predicted_with(
     simulated: bool,
 ) -> None:
-    config = made_for()._replace(simulated_time=simulated)
+    config = with_settings(made_for()._replace(simulated_time=simulated), adaptation=False)
     supervisor = Supervisor(config)
     supervisor.take_path(WAVES, START_NS, START_NS)
     for i in range(40):
