@@ -219,6 +219,29 @@ def test_estimates_freeze(
     assert adaptation.difference == CarDifference()
 
 
+def test_the_rear_stiffness_needs_a_lateral_velocity() -> None:
+    adaptation = observed(
+        ASSUMED, weave, front=0.7, rear=0.7, distort=lambda state, _: state._replace(v_y=0.0)
+    )
+    assert adaptation.difference.rear_stiffness == 0.0
+    assert adaptation.difference.understeer_gradient > 3e-4
+
+
+def test_a_replaced_yaw_rate_resets_what_may_have_been_learnt_from_it() -> None:
+    config = made_for("ordinary")
+    supervisor = Supervisor(config._replace(steering=replace(config.steering, lag=-1.0)))
+    supervisor.take_path([(0.5 * i, 0.0) for i in range(200)], NANOSECONDS, NANOSECONDS)
+    adaptation = supervisor.adaptation
+    assert adaptation
+    adaptation.x[LATENCY_CHANGE] = adaptation.used[0] = 0.2
+    state = VehicleState(NANOSECONDS, 1.0, 0.0, 0.0, 9.0, 0.0, 0.0)
+    supervisor.replay_state(Received(state, NANOSECONDS, NANOSECONDS), 0, 0.05)
+    record = supervisor.tick(NANOSECONDS)
+    assert record
+    assert adaptation.difference == CarDifference()
+    assert record.steering_latency == pytest.approx(0.08)
+
+
 def test_a_mirrored_drive_has_mirrored_estimates() -> None:
     def mirrored(t: float) -> float:
         return -weave(t)

@@ -23,6 +23,7 @@ from launch_scripts.identifying.bag_recording import (
     is_opposite,
     time_to_answer,
 )
+from launch_scripts.run.options import prepare_run, read_run_options
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.html_pages import Elements, check_that_no_request_leaves
@@ -272,3 +273,39 @@ def test_odometry_that_contradicts_itself_or_the_commands_is_refused(
         check_consistency(Path("bag"), states, command, nothing)
     states[:, 4], command[:, 1] = 5.0, yaw_rate
     check_consistency(Path("bag"), states, command, nothing)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--manoeuvre", "identification", "--speed", "5"], "--speed: the manoeuvre has its own"),
+        (["--manoeuvre", "identification", "--scenario", "sc2"], "--scenario: the manoeuvre has"),
+        (["--true-vehicle", "ordinray"], "ordinray"),
+    ],
+)
+def test_start_refuses_options_that_it_would_ignore(
+    options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert start.main([*options, "--output", str(tmp_path / "run")]) == start.WRONG_SET_UP
+    assert text in capsys.readouterr().out
+
+
+def test_the_true_vehicle_is_that_of_the_simulator_only(tmp_path: Path) -> None:
+    arguments = [
+        "--true-vehicle",
+        "paper",
+        "--vehicle",
+        "ordinary",
+        "--output",
+        str(tmp_path / "a"),
+    ]
+    started: dict[str, Any] = {}
+
+    class Recorded:
+        def start(self, name: str, _: str, parameters: Any, renamed: Any = None) -> None:
+            started[name] = parameters.get("vehicle")
+
+    run = prepare_run(read_run_options(arguments, None))
+    start.start_nodes(Recorded(), run)  # type: ignore[arg-type]
+    assert started["simulator"] == "paper"
+    assert {started[name] for name in ("controller", "planner", "markers")} == {"ordinary"}
