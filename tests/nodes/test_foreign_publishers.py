@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -61,7 +63,11 @@ def sine(s: Any) -> Array:
 
 
 class Foreign(Node):
-    """A kinematic bicycle in wall time, and a planner of its own."""
+    """A kinematic bicycle, and a planner of its own.
+
+    With `use_sim_time` it publishes the clock: time stands still while the machine has no time for
+    this process, so that no state is late because of that.
+    """
 
     def __init__(
         self,
@@ -86,12 +92,31 @@ class Foreign(Node):
         self.x, self.y, self.yaw, self.steering, self.commands = 0.0, 0.0, 0.0, 0.0, 0
         self.track: list[tuple[float, float]] = []
         self.last = time.monotonic()
+        self.wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.simulated_ns = NANOSECONDS if self.get_parameter("use_sim_time").value else 0
+        if self.simulated_ns:
+            self.clocks = self.create_publisher(ClockMessage, ros.CLOCK, 1)
+            self.create_timer(PERIOD, self.publish_clock, clock=self.wall)
         add(executor, self, controller)
 
     @property
     def now_ns(self) -> int:
         """Time of the node's clock [ns]."""
-        return int(self.get_clock().now().nanoseconds)
+        return self.simulated_ns or int(self.get_clock().now().nanoseconds)
+
+    def publish_clock(self) -> None:
+        """Publish the simulated time."""
+        self.clocks.publish(ClockMessage(clock=ros.time_message(self.simulated_ns)))
+
+    def pass_time(self) -> float:
+        """Return the time since the last call, at most 0.1 s [s]; simulated time advances."""
+        if self.simulated_ns:
+            self.simulated_ns += round(PERIOD * NANOSECONDS)
+            self.publish_clock()
+            return PERIOD
+        now = time.monotonic()
+        elapsed, self.last = min(now - self.last, 0.1), now
+        return elapsed
 
     def on_steering(self, message: JointState) -> None:
         """Turn the wheels."""
@@ -106,9 +131,8 @@ class Foreign(Node):
         self.paths.publish(message)
 
     def on_drive(self) -> None:
-        """Move the car by the wall time that has passed, and publish its state."""
-        now = time.monotonic()
-        dt, self.last = min(now - self.last, 0.1), now
+        """Move the car by the time that has passed, and publish its state."""
+        dt = self.pass_time()
         rate = SPEED * math.tan(self.steering) / WHEELBASE
         self.x += SPEED * math.cos(self.yaw) * dt
         self.y += SPEED * math.sin(self.yaw) * dt
@@ -125,7 +149,7 @@ class Foreign(Node):
     def drive_for(self, commands: int) -> None:
         """Drive until so many further commands have arrived."""
         known, self.last = self.commands, time.monotonic()
-        timer = self.create_timer(PERIOD, self.on_drive)
+        timer = self.create_timer(PERIOD, self.on_drive, clock=self.wall)
         self.spin_until(lambda: self.commands >= known + commands)
         self.destroy_timer(timer)
 
@@ -321,10 +345,21 @@ def test_zero_stamps_and_an_unusual_child_frame_are_named(executor: SingleThread
     assert "reference_path: header.stamp = 0 must be the time of the path" in world.report()
 
 
+class Rolling(Foreign):
+    """A car that waits for the process that builds its paths."""
+
+    def on_drive(self) -> None:
+        """Drive on unless the newest path is old."""
+        path = self.controller.supervisor.path
+        assert path
+        if self.now_ns - path.stamp_ns < 0.5 * NANOSECONDS:
+            super().on_drive()
+
+
 def test_a_window_that_rolls_with_the_car_is_followed() -> None:
-    with ros_context(gain_table="preview_paper") as executor:
+    with ros_context(gain_table="preview_paper", use_sim_time="true") as executor:
         node = ControllerNode()
-        world = Foreign(executor, node, QOS["volatile, best effort"])
+        world = Rolling(executor, node, QOS["volatile, best effort"])
         rng = np.random.default_rng(3)
 
         def plan() -> None:
@@ -332,7 +367,7 @@ def test_a_window_that_rolls_with_the_car_is_followed() -> None:
             world.publish_path(sine(window) + rng.normal(0.0, 0.002, (60, 2)))
 
         world.yaw = math.atan(1.5 / 12.0)
-        world.create_timer(0.1, plan)
+        world.create_timer(0.1, plan, clock=world.wall)
         world.spin_until(lambda: node.supervisor.path is not None)
         world.drive_for(60)
         track = np.array(world.track[len(world.track) // 3 :])
@@ -341,9 +376,12 @@ def test_a_window_that_rolls_with_the_car_is_followed() -> None:
     assert np.abs(error).max() < 0.3
 
 
-def test_commands_continue_while_a_path_of_many_poses_is_built(
-    executor: SingleThreadedExecutor,
-) -> None:
+def test_commands_continue_while_a_path_of_many_poses_is_built() -> None:
+    with ros_context(controller="pure_pursuit", static_path="true", use_sim_time="true") as nodes:
+        drive_while_a_path_is_built(nodes)
+
+
+def drive_while_a_path_is_built(executor: SingleThreadedExecutor) -> None:
     node = ControllerNode()
     world = Foreign(executor, node, QOS["volatile, reliable"])
     world.publish_path(STRAIGHT)
@@ -362,8 +400,7 @@ def test_commands_continue_while_a_path_of_many_poses_is_built(
 
     process.send_signal(signal.SIGSTOP)  # as if it were slow
     world.paths.publish(big)
-    timer = world.create_timer(PERIOD, world.on_drive)
-    world.last = time.monotonic()
+    timer = world.create_timer(PERIOD, world.on_drive, clock=world.wall)
     spin_until(executor, lambda: node.commands > before + 10)
     assert not is_in_use()
     process.send_signal(signal.SIGCONT)

@@ -1,7 +1,6 @@
 """Odometry that is late or missing, from a car that belongs to the tests, over a real ROS graph."""
 
 import math
-import time
 from collections import deque
 from collections.abc import Iterator
 
@@ -29,7 +28,7 @@ STEP = 0.001
 
 
 class Bicycle(Foreign):
-    """A single-track car with linear tyres in wall time, whose odometry may be late or silent."""
+    """A single-track car with linear tyres whose odometry may be late or silent."""
 
     late = 0.0
     """Time from the stamp of a state to its message [s]."""
@@ -38,10 +37,8 @@ class Bicycle(Foreign):
     """Of the centre of gravity, which is at x and y [m/s, rad/s]."""
 
     def on_drive(self) -> None:
-        """Move the car by the wall time that has passed, and publish what is due."""
-        now = time.monotonic()
-        elapsed, self.last = min(now - self.last, 0.1), now
-        for _ in range(round(elapsed / STEP)):
+        """Move the car by the time that has passed, and publish what is due."""
+        for _ in range(round(self.pass_time() / STEP)):
             self.integrate()
         self.track.append((self.x, self.y))
         centre = (self.x, self.y, self.yaw, SPEED, self.v_y, self.yaw_rate)
@@ -68,8 +65,7 @@ class Bicycle(Foreign):
     def begin(self) -> None:
         """Begin to drive, for the rest of the test."""
         self.queue: deque[VehicleState] = deque()
-        self.last = time.monotonic()
-        self.create_timer(PERIOD, self.on_drive)
+        self.create_timer(PERIOD, self.on_drive, clock=self.wall)
 
     def drive_on(self, commands: int) -> None:
         """Drive until so many further commands have arrived."""
@@ -92,7 +88,7 @@ class Bicycle(Foreign):
 def world() -> Iterator[Bicycle]:
     """A car and a controller that has its path."""
     arguments = {"gain_table": "preview_paper", "static_path": "true", "guard": "track"}
-    with ros_context(**arguments) as executor:
+    with ros_context(**arguments, use_sim_time="true") as executor:
         yield on_a_circle(executor)
 
 

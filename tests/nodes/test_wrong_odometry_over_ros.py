@@ -14,6 +14,7 @@ from ampc_msgs_config.types import VehicleState
 from ampc_ros.nodes.controller_node import ControllerNode
 from tests.nodes.test_foreign_publishers import PERIOD, SPEED, Foreign
 from tests.ros_nodes import ros_context
+from tests.waiting import TIMEOUT
 
 pytestmark = pytest.mark.usefixtures("own_domain")
 
@@ -37,10 +38,10 @@ class Defective(Foreign):
             state = state._replace(yaw_rate=0.0)
         self.odom.publish(ros.odometry_message(state, self.frame))
 
-    def drive_until_report(self, text: str, seconds: float = 60.0) -> str:
+    def drive_until_report(self, text: str) -> str:
         """Drive until the diagnostics contain a text; return the sentence."""
-        timer, self.last = self.create_timer(PERIOD, self.on_drive), time.monotonic()
-        limit = time.monotonic() + seconds
+        timer = self.create_timer(PERIOD, self.on_drive, clock=self.wall)
+        limit = time.monotonic() + TIMEOUT
         while text not in (sentence := self.report()):
             assert time.monotonic() < limit, sentence
             pause = time.monotonic() + 0.5
@@ -52,7 +53,8 @@ class Defective(Foreign):
 @pytest.fixture
 def executor() -> Iterator[SingleThreadedExecutor]:
     """The executor of the default controller."""
-    with ros_context(gain_table="preview_paper", static_path="true") as nodes:
+    given = {"gain_table": "preview_paper", "static_path": "true", "use_sim_time": "true"}
+    with ros_context(**given) as nodes:
         yield nodes
 
 
