@@ -20,6 +20,8 @@ pytestmark = pytest.mark.usefixtures("own_domain")
 
 RADIUS = 25.0
 """Of the circle that the car drives [m]."""
+GIVEN = {"gain_table": "preview_paper", "static_path": "true"}
+"""Parameters of the controller."""
 
 
 class Defective(Foreign):
@@ -53,8 +55,7 @@ class Defective(Foreign):
 @pytest.fixture
 def executor() -> Iterator[SingleThreadedExecutor]:
     """The executor of the default controller."""
-    given = {"gain_table": "preview_paper", "static_path": "true", "use_sim_time": "true"}
-    with ros_context(**given) as nodes:
+    with ros_context(**GIVEN, use_sim_time="true") as nodes:
         yield nodes
 
 
@@ -95,10 +96,12 @@ def test_odometry_of_the_front_bumper_is_named_with_the_value_to_set(
     assert "but base_link_to_cg = 1.6 m means 0.0 m: set base_link_to_cg to -" in sentence
 
 
-def test_a_car_on_its_side_and_a_zero_stamp_are_rejected_by_name(
-    executor: SingleThreadedExecutor,
-) -> None:
-    world = on_a_circle(executor)
+def test_a_car_on_its_side_and_a_zero_stamp_are_rejected_by_name() -> None:
+    with ros_context(**GIVEN) as executor:  # wall time: simulated time begins at zero
+        reject_by_name(on_a_circle(executor))
+
+
+def reject_by_name(world: Defective) -> None:
     node = world.controller
     message = ros.odometry_message(VehicleState(world.now_ns, 0.0, 0.0, 0.0, SPEED, 0.0, 0.0))
     q = message.pose.pose.orientation
