@@ -7,6 +7,8 @@ REFERENCE_PATH = "reference_path"
 TARGET_SPEED = "target_speed"
 STEERING_COMMAND = "steering_command"
 STEERING_STATE = "steering_state"
+STEERING_PLAN = "steering_plan"
+"""How to steer until the car stands, one trajectory_msgs/JointTrajectory with PLAN_JOINTS."""
 PREDICTED_PATH = "predicted_path"
 WIND = "wind"
 STOP_REQUEST = "stop_request"
@@ -36,3 +38,6 @@ CONFIGURATIONS = tuple(f"{name}/{CONFIGURATION}" for name in ("controller", "sim
 MAP = "map"
 BASE_LINK = "base_link"
 STEERING_JOINT = "front_steering"
+PLAN_JOINTS = (STEERING_JOINT, "distance", "x", "y")
+"""Joints of `steering_plan`: angle as in `steering_command`; distance driven [m], with speed and
+acceleration; place of `base_link` on the path [m]."""

@@ -3,16 +3,20 @@
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
-from ampc_msgs_config.types import TickRecord
+from ampc_msgs_config.types import NANOSECONDS, TickRecord
 from ampc_ros.configuration import to_yaml
+from ampc_ros.supervision.stopping_plan import PLAN_PERIOD, StoppingPlan
 from ampc_ros.supervision.supervisor import Supervisor
 
 
@@ -36,13 +40,15 @@ class Outputs:
         self.predictions = publish(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.stops = publish(Bool, ros.STOP_REQUEST, ros.LATCHED)
+        self.plans = publish(JointTrajectory, ros.STEERING_PLAN, ros.COMMAND)
+        self.planned_ns = 0
         self.newest: JointState | None = None
         self.published_stop: bool | None = None
 
     def destroy(self) -> None:
         """Destroy all publishers."""
         others = self.commands, self.ticks, self.predictions, self.configurations, self.stops
-        for each in (*self.debug, *others):
+        for each in (*self.debug, *others, self.plans):
             self.node.destroy_publisher(each)
 
     def publish_configuration(self, supervisor: Supervisor, text: str = "") -> None:
@@ -85,6 +91,21 @@ class Outputs:
             message = ros.path_message(plan.prediction, command.stamp_ns, frame_id)
             self.predictions.publish(message)
 
+    def publish_plan(self, supervisor: Supervisor, now_ns: int) -> None:
+        """Publish how to steer until the car stands, where that is heard; not at every fast tick.
+
+        Args:
+            supervisor: Supervisor that has ticked.
+            now_ns: Time of the tick [ns].
+        """
+        elapsed = abs(now_ns - self.planned_ns) / NANOSECONDS
+        if elapsed < 0.99 * PLAN_PERIOD or not self.plans.get_subscription_count():
+            return
+        plan = supervisor.stopping_plan(now_ns)
+        if plan is not None and self.newest is not None:
+            self.planned_ns = now_ns
+            self.plans.publish(plan_message(plan, self.newest, supervisor.config.steering))
+
     def repeat(self) -> None:
         """Publish the newest command once more."""
         if self.newest is not None:
@@ -101,3 +122,40 @@ class Outputs:
         if requested != self.published_stop:
             self.stops.publish(Bool(data=requested))
             self.published_stop = requested
+
+
+def plan_message(
+    plan: StoppingPlan, command: JointState, steering: SteeringParameters
+) -> JointTrajectory:
+    """Pack a plan; its joints are PLAN_JOINTS, and its stamp and frame are those of the command.
+
+    Args:
+        plan: Plan.
+        command: Command of the same tick.
+        steering: Ratio and offset of the steering.
+    """
+    rate = (
+        steering.ratio
+        * np.diff(plan.angle, append=plan.angle[-1])
+        / np.diff(plan.time, append=plan.time[-1] + PLAN_PERIOD)
+    )
+    message = JointTrajectory(joint_names=list(ros.PLAN_JOINTS))
+    message.header = command.header
+    commands = [steering.position(angle) for angle in plan.angle.tolist()]
+    positions = np.column_stack((commands, plan.distance, plan.x, plan.y))
+    for position, velocity, acceleration, time in zip(
+        positions.tolist(),
+        np.column_stack((rate, plan.speed)).tolist(),
+        plan.acceleration.tolist(),
+        (NANOSECONDS * plan.time).astype(int).tolist(),
+        strict=True,
+    ):
+        message.points.append(
+            JointTrajectoryPoint(
+                positions=position,
+                velocities=[*velocity, 0.0, 0.0],
+                accelerations=[0.0, acceleration, 0.0, 0.0],
+                time_from_start=Duration(sec=time // NANOSECONDS, nanosec=time % NANOSECONDS),
+            )
+        )
+    return message

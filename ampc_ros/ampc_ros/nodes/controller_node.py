@@ -309,6 +309,8 @@ class ControllerNode(ConfiguredNode):
             account = self.rejected, self.policy.missed, self.commands
             steering = self.supervisor.config.steering
             self.outputs.publish_tick(record, timing, account, steering, self.frame.name)
+            now_ns = self.supervisor.newest_ns if self.lock_step else self.now_ns
+            self.outputs.publish_plan(self.supervisor, now_ns)
             self.report_change(record)
 
     def report_change(self, record: TickRecord) -> None:

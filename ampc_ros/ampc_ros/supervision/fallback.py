@@ -145,6 +145,11 @@ class FallbackChain:
         """Return the planned angle of this time; the last angle of the plan is held [rad]."""
         return float(self.angles[min(self._ticks_since_plan(now_ns), len(self.angles) - 1)])
 
+    def planned_from(self, now_ns: int) -> list[float]:
+        """Return the planned angles from this time on, at least one [rad]."""
+        first = min(self._ticks_since_plan(now_ns), len(self.angles) - 1)
+        return [float(angle) for angle in self.angles[first:]]
+
     def _is_plan_usable(self, now_ns: int) -> bool:
         return self._ticks_since_plan(now_ns) <= self.plan_ticks
 

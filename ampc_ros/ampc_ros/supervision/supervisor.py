@@ -48,6 +48,7 @@ from ampc_ros.supervision.monitors import (
 from ampc_ros.supervision.odometry import OdometryMonitor
 from ampc_ros.supervision.progress import Location, PathProgress
 from ampc_ros.supervision.received import Received
+from ampc_ros.supervision.stopping_plan import PlanStart, StoppingPlan, stopping_plan
 
 
 class Supervisor:
@@ -76,6 +77,7 @@ class Supervisor:
         self._path: Received[Path] | None = None
         self._points: Array | None = None
         self._measured = self._yaw_rate = math.nan
+        self._plan_start: PlanStart | None = None
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         controller = build_controller(config, source)
         self._present = PresentState(config, controller)
@@ -225,6 +227,18 @@ class Supervisor:
         if self._stop.requested:
             self._deviation.approach()
         self._stop.clear()
+
+    def stopping_plan(self, now_ns: int) -> StoppingPlan | None:
+        """Return how to steer from the tick of this time on until the car stands.
+
+        None: the tick has not located the car on the path.
+        """
+        if self._plan_start is None:
+            return None
+        angles = self._chain.planned_from(now_ns)
+        angles[0] = self.steering + self._offset
+        car, braking = self.assumed_car, self.config.settings.end_deceleration
+        return stopping_plan(self._plan_start, angles, self.period, car, braking)
 
     def inject_qp_fault(self, on: bool) -> None:
         """Make every solution fail, or end this fault."""
@@ -379,7 +393,7 @@ class Supervisor:
 
         # The level of the fallback chain follows from the ages of state and path. A late state is
         # continued by the model; beyond that the last plan is used.
-        stepped, missing = False, NO_REASON
+        stepped, missing, self._plan_start = False, NO_REASON, None
         if self.is_state_late(now_ns):
             missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
         if missing and not self.can_predict(now_ns):
@@ -403,6 +417,8 @@ class Supervisor:
             if command.reason == NO_REASON and (is_path_lost or self.no_path):
                 reason = reason or PATH_LOST
             command = with_reason(command, reason, missing)
+            to_cg = self.config.base_link_to_cg
+            self._plan_start = PlanStart(location.path, location.s, present.v_x, to_cg)
 
         # The estimated offset is taken off: from the road wheel's angle to the command.
         offset = self._offset
