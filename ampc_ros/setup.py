@@ -28,6 +28,7 @@ setup(
     entry_points={
         "console_scripts": [
             "controller = ampc_ros.nodes.controller_node:main",
+            "gate = ampc_ros.nodes.gate_node:main",
             "planner = ampc_ros.nodes.planner_node:main",
         ]
     },

@@ -1,4 +1,4 @@
-"""Drive once over ROS 2 with simulator, planner, controller and recorder, and write the result.
+"""Drive once over ROS 2: simulator, planner, controller, gate and recorder; write the result.
 
 `python launch_scripts/start.py --scenario sc2`, or `--path my_road.csv --speed 9`. The exit code
 is 0 after a complete drive, 1 if a node died, 2 if an option is invalid, 3 if a node stopped
@@ -141,7 +141,12 @@ def start_nodes(nodes: Processes, run: Run) -> None:
         faults = {"faults": options["faults"], "vehicle": options["vehicle"]}
         nodes.start("injector", "launch_scripts.nodes.injector_node", faults)
     nodes.start("controller", "ampc_ros.nodes.controller_node", common | control, renamed)
-    nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant)
+    gated = {}
+    if not options["no_gate"]:
+        limits = {key: options[key] for key in ("guard", "settings")}
+        nodes.start("gate", "ampc_ros.nodes.gate_node", common | limits)
+        gated = {ros.STEERING_COMMAND: ros.GATE_STEERING, ros.TARGET_SPEED: ros.GATE_SPEED}
+    nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant, gated)
     nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
 
 

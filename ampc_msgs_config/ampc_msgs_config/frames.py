@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ampc_msgs_config.compiled import compiled
+from ampc_msgs_config.quaternions import yaw_of
 from ampc_msgs_config.types import VehicleState
 
 
@@ -26,17 +27,8 @@ def quaternion_from_yaw(yaw: float) -> tuple[float, float]:
     return math.sin(yaw / 2), math.cos(yaw / 2)
 
 
-@compiled
-def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
-    """Return the yaw of a quaternion in the z-y-x convention, in [-pi, pi] [rad]."""
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-def tilt_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, float]:
-    """Return roll and pitch of a quaternion in the z-y-x convention [rad]."""
-    length = x * x + y * y + z * z + w * w
-    roll = math.atan2(2 * (w * x + y * z), w * w + z * z - x * x - y * y)
-    return roll, math.asin(min(max(2 * (w * y - z * x) / length, -1.0), 1.0))
+yaw_from_quaternion = compiled(yaw_of)
+"""`quaternions.yaw_of`, compiled."""
 
 
 @compiled

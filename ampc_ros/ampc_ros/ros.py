@@ -23,15 +23,16 @@ from ampc_ros.supervision.supervisor import Supervisor
 class Outputs:
     """The publishers of a controller."""
 
-    def __init__(self, node: Node, *, lock_step: bool) -> None:
+    def __init__(self, node: Node, period: float, *, lock_step: bool) -> None:
         """Create all publishers.
 
         Args:
             node: Owner.
+            period: Period of the commands [s].
             lock_step: The drive is faster than real time, and is to be recorded completely.
         """
         self.node = node
-        qos = ros.RELIABLE if lock_step else ros.COMMAND
+        qos = ros.RELIABLE if lock_step else ros.controller_command(period)
         self.commands = node.create_publisher(JointState, ros.STEERING_COMMAND, qos)
         publish = partial(node.create_publisher, event_callbacks=NO_EVENTS)
         names = ros.DEBUG_QUANTITIES

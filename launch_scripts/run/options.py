@@ -88,6 +88,8 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     text = "reject a gain table without a valid certificate"
     add("--require-certificate", False, text, action="store_true")
     add("--real-time", False, "run freely instead of in lock-step", action="store_true")
+    text = "connect the car directly to controller and planner, without the gate"
+    add("--no-gate", False, text, action="store_true")
     add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
     options = parser.parse_args(arguments)

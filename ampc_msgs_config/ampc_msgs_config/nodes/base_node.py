@@ -4,6 +4,7 @@ import gc
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import rclpy
@@ -19,15 +20,14 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
-from ampc_msgs_config import ros, topics
-from ampc_msgs_config.compiled import log_compilation
+from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.nodes.commands import time_message
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """The executor would poll each event callback in every round, which costs more than a tick."""
-AT_REST = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 FLUSH_TIMEOUT = 4.0
 """Wall time for the final messages of a node; the middleware resends lost ones every 3 s [s]."""
 SHUTDOWN_TIMEOUT = 0.5
@@ -37,6 +37,9 @@ SHUTDOWN_TIMEOUT = 0.5
 class BaseNode(Node):
     """A node that publishes diagnostics, and that can wait for a recorder."""
 
+    has_compiled_code = True
+    """False: the process of this node never imports numba."""
+
     def __init__(self, name: str, *, owns_time: bool = False) -> None:
         """Create the node.
 
@@ -45,7 +48,8 @@ class BaseNode(Node):
             owns_time: In lock-step this node publishes the clock that all others follow.
         """
         super().__init__(name)
-        ros.vehicle_state(ros.odometry_message(AT_REST))  # compiles the conversion
+        if self.has_compiled_code:
+            compile_conversion()
         self.lock_step: bool = declare(
             self, "lock_step", False, "simulated time advances only when every state is answered"
         )
@@ -122,8 +126,27 @@ class BaseNode(Node):
             values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = ros.time_message(stamp_ns)
+        message.header.stamp = time_message(stamp_ns)
         self.diagnostics.publish(message)
+
+
+def compile_conversion() -> None:
+    """Compile the conversion of odometry."""
+    from ampc_msgs_config import ros  # imports numba
+
+    at_rest = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    ros.vehicle_state(ros.odometry_message(at_rest))
+
+
+def log_compilation_of(
+    make_node: Callable[[], BaseNode], name: str
+) -> AbstractContextManager[None]:
+    """Log what the constructor of a node compiles, if it compiles at all."""
+    if not getattr(make_node, "has_compiled_code", True):
+        return nullcontext()
+    from ampc_msgs_config.compiled import log_compilation  # imports numba
+
+    return log_compilation(name, get_logger(name).info)
 
 
 def declare(
@@ -190,7 +213,7 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:
             raise ValueError(error) from error
-        with log_compilation(name, get_logger(name).info):
+        with log_compilation_of(make_node, name):
             created.append(make_node())
             cancel_interruption()
         return _spin(created[0], signals)

@@ -1,8 +1,9 @@
 """Subscriptions of a node that receive from publishers of any QoS, or name what does not match."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -33,6 +34,7 @@ class Input:
         callback: Callable[[Any], None],
         profiles: tuple[QoSProfile, ...],
         options: dict[str, Any],
+        events: Mapping[str, Callable[[Any], None]],
     ) -> None:
         """Subscribe with the first profile.
 
@@ -43,9 +45,11 @@ class Input:
             callback: Receives each message once.
             profiles: Profiles in the order of preference.
             options: Further arguments of `create_subscription`.
+            events: Callbacks of QoS events of the first profile, by name.
         """
         self.node, self.message_type, self.topic = node, message_type, topic
         self.callback, self.profiles, self.options = callback, profiles, options
+        self.events = events
         self.subscriptions: list[Subscription] = []
         self.has_mismatch = False
         self._seen: deque[tuple[Any, Any, int]] = deque(maxlen=REMEMBERED)
@@ -54,13 +58,14 @@ class Input:
 
     def _subscribe(self) -> None:
         on_event = partial(self.on_incompatible, len(self.subscriptions))
+        further: Any = {} if self.subscriptions else self.events
         self.subscriptions.append(
             self.node.create_subscription(
                 self.message_type,
                 self.topic,
                 self.on_message,  # type: ignore[arg-type]  # rclpy looks at the signature
                 self.profiles[len(self.subscriptions)],
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_event),
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_event, **further),
                 **self.options,
             )
         )
@@ -128,6 +133,7 @@ class Inputs:
         callback: Callable[[Any], None],
         *profiles: QoSProfile,
         raw: bool = False,
+        events: Mapping[str, Callable[[Any], None]] = MappingProxyType({}),
     ) -> None:
         """Subscribe to a topic.
 
@@ -137,9 +143,12 @@ class Inputs:
             callback: Receives each message once.
             profiles: QoS in the order of preference, see `Input`.
             raw: The callback receives the serialised message.
+            events: Callbacks of QoS events of the first profile, by name.
         """
         options = {"callback_group": self.group, "raw": raw}
-        self.topics[topic] = Input(self.node, message_type, topic, callback, profiles, options)
+        self.topics[topic] = Input(
+            self.node, message_type, topic, callback, profiles, options, events
+        )
 
     def mismatches(self) -> list[str]:
         """Return a sentence for each publisher whose messages cannot arrive."""

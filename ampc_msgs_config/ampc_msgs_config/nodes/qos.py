@@ -1,6 +1,7 @@
 """Quality of service of the topics."""
 
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Subscribers of measurements, for which only the newest sample counts."""
@@ -17,6 +18,28 @@ LATCHED = QoSProfile(
 """Path, configuration and stop request: late subscribers receive them, too."""
 ANY_PUBLISHER = (LATCHED, COMMAND, NEWEST)
 """Profiles of subscriptions that together receive a topic from every publisher."""
+DEADLINE_PERIODS, LEASE_PERIODS = 2.5, 3.0
+"""Deadline and lease of the commands of a controller [periods]."""
+
+
+def watched_command(deadline: float, lease: float) -> QoSProfile:
+    """Return `COMMAND` with a deadline [s] and a lease [s] that each message renews.
+
+    Note:
+        With an automatic lease, a process whose main thread hangs would count as alive.
+    """
+    return QoSProfile(
+        depth=COMMAND.depth,
+        reliability=COMMAND.reliability,
+        deadline=Duration(seconds=deadline),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=lease),
+    )
+
+
+def controller_command(period: float) -> QoSProfile:
+    """Return the profile of `steering_command` from a controller with a period [s]."""
+    return watched_command(DEADLINE_PERIODS * period, LEASE_PERIODS * period)
 
 
 def profile_text(qos: QoSProfile) -> str:

@@ -62,6 +62,7 @@ CONTRACT: dict[str, Any] = {
 LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
+    topics.GATE_STATE,
     topics.TF_STATIC,
     *topics.CONFIGURATIONS,
 }

@@ -84,7 +84,7 @@ class ControllerNode(ConfiguredNode):
         self.newest_path: ReceivedPath | None = None
         self.path_frame = self.child_frame = ""
         self.policy = TickPolicy(self.supervisor, lock_step=self.lock_step)
-        self.outputs = Outputs(self, lock_step=self.lock_step)
+        self.outputs = Outputs(self, self.supervisor.period, lock_step=self.lock_step)
         self.while_configured.callback(self.outputs.destroy)
         self.publish_configuration()
         self.subscribe()

@@ -1,0 +1,368 @@
+"""Node `gate`: the last station before the car. `ros2 run ampc_ros gate`.
+
+It passes steering command and target speed on, inside the limits of its own guard. When the
+controller is late, dead or unsafe, it brakes along the last plan until the car stands. It imports
+no compiled code, reads files at its start only, and measures time with the steady clock.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt64
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from ampc_msgs_config import topics
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.inputs import Inputs
+from ampc_msgs_config.nodes.silent_clock import SilentClock
+from ampc_msgs_config.parameters import (
+    ChassisParameters,
+    ControllerSettings,
+    GuardLimits,
+    SteeringParameters,
+)
+from ampc_msgs_config.quaternions import yaw_of
+from ampc_msgs_config.types import ERROR, OK, WARN
+from ampc_msgs_config.vehicle_file import load_section
+from ampc_ros.gate.core import Gate, GateOutput
+from ampc_ros.gate.following import MeasuredPose
+from ampc_ros.gate.lock_step import LockStepGate
+from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
+from ampc_ros.nodes.gate_outputs import GateOutputs, angle_rate, steering_plan
+
+GUARDED = (topics.STEERING_COMMAND, topics.TARGET_SPEED, topics.STEERING_PLAN)
+"""Inputs that only one node may publish."""
+LARGEST_MESSAGE = 20_000
+"""Larger messages of the inputs are refused unread [bytes]."""
+LARGEST_PLAN = 400_000
+"""The same for plans [bytes]."""
+UNSAFE = 1
+"""Exit code in lock-step, where nothing can stop the car."""
+CONNECT_PERIOD = 0.05
+"""Lock-step: wall time between two looks for publishers of the inputs [s]."""
+SPEEDS_KEPT = 20
+"""Number of odometry messages among which lock-step looks for that of a command."""
+LEVELS = dict.fromkeys(GateState, WARN) | {GateState.DRIVING: OK} | dict.fromkeys(STOPS, ERROR)
+
+
+class GateNode(BaseNode):
+    """Receives what the car is to do, and publishes what it does."""
+
+    has_compiled_code = False
+
+    def __init__(self) -> None:
+        """Read vehicle, guard and settings; publish nothing before all inputs are complete."""
+        super().__init__("gate")
+        self.load()
+        self.outputs = GateOutputs(self, self.steering, self.chassis.wheelbase)
+        self.command: JointState | None = None
+        self.target: commands.Stamped | None = None
+        self.rounds = self.failures = 0
+        self.passed: GateOutput | None = None
+        self.speeds: dict[int, float] = {}
+        """Lock-step: measured speed by stamp [ns]."""
+        self.subscribe()
+        self.create_service(Trigger, "~/reset", self.on_reset)
+        self.outputs.publish_state(self.gate.state)
+        self.clock_check = SilentClock(self)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.every(1.0, self.on_diagnostics, None if self.lock_step else steady)
+        if self.lock_step:
+            self.connecting = self.every(CONNECT_PERIOD, self.connect, steady)
+        else:
+            self.every(1.0 / self.rate, self.on_timer, steady)
+        self.get_logger().info("ready")
+
+    def every(self, period: float, callback: Callable[[], None], clock: Clock | None) -> Timer:
+        """Call back every `period` seconds of a clock; None: that of the node."""
+        return self.create_timer(period, partial(self.survive, callback), clock=clock)
+
+    def load(self) -> None:
+        """Declare the parameters, and load the files that they name."""
+        vehicle = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or file"))
+        guard = find("guards", declare(self, "guard", "road", "shipped limits, or file"))
+        text = "settings of the controller, for its period: shipped ones, or file"
+        settings = find("controllers", declare(self, "settings", "table3", text))
+        text = "period of the commands [s]; -1: that of the settings"
+        period = declare(self, "period", -1.0, text, (-1.0, 1.0))
+        text = "rate of the outputs [Hz]"
+        self.rate = declare(self, "rate", 50.0, text, (10.0, 200.0))
+        text = "deceleration of a stop [m/s^2]"
+        deceleration = declare(self, "deceleration", 2.5, text, (0.5, 8.0))
+        text = "age of a steering command that stops the car [s]; -1: 2.5 periods, at least 0.12 s"
+        timeout = declare(self, "command_timeout", -1.0, text, (-1.0, 5.0))
+        if period <= 0.0:
+            period = load(ControllerSettings, settings).sample_time
+        self.chassis = load_section(ChassisParameters, vehicle, "chassis", "the gate")
+        self.steering = load_section(SteeringParameters, vehicle, "steering", "the gate")
+        limits = load(GuardLimits, guard)
+        chosen = GateSettings(period, max(timeout, 0.0), deceleration)
+        self.gate = Gate(limits, self.chassis, chosen)
+        self.passing = LockStepGate(limits, self.chassis, period)
+
+    def subscribe(self) -> None:
+        """Subscribe to all inputs; odometry first, so that it is received before a command."""
+        self.inputs = Inputs(self)
+        if self.lock_step:
+            self.listen(Odometry, topics.ODOM, self.on_odometry_in_lock_step, qos.RELIABLE)
+            on_command, on_speed = self.on_command_in_lock_step, self.on_speed_in_lock_step
+            self.listen(JointState, topics.STEERING_COMMAND, on_command, qos.RELIABLE)
+            self.listen(TwistStamped, topics.TARGET_SPEED, on_speed, qos.RELIABLE)
+            return
+        self.listen(Odometry, topics.ODOM, self.on_odometry, qos.NEWEST)
+        self.listen(JointState, topics.STEERING_STATE, self.on_steering, qos.NEWEST)
+        profiles = qos.COMMAND, qos.NEWEST
+        self.listen(JointTrajectory, topics.STEERING_PLAN, self.on_plan, *profiles)
+        self.listen(TwistStamped, topics.TARGET_SPEED, self.on_speed, *profiles)
+        watched = qos.controller_command(self.gate.settings.period)
+        events = {"deadline": self.on_deadline, "liveliness": self.on_liveliness}
+        self.listen(
+            JointState, topics.STEERING_COMMAND, self.on_command, watched, *profiles, events=events
+        )
+
+    def listen(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], *profiles: Any, **how: Any
+    ) -> None:
+        """Subscribe to a topic, whose messages are refused unread where they are too large."""
+        most = LARGEST_PLAN if topic == topics.STEERING_PLAN else LARGEST_MESSAGE
+
+        def on_data(data: bytes) -> None:
+            if len(data) > most:
+                raise ValueError(f"{topic}: {len(data)} bytes must be at most {most}")
+            callback(commands.decode(data, kind))
+
+        on_input = partial(self.survive, on_data)
+        self.inputs.add(kind, topic, on_input, *profiles, raw=True, **how)
+
+    def survive(self, callback: Callable[..., None], *arguments: Any) -> None:
+        """Call back; log and count whatever goes wrong.
+
+        Raises:
+            SystemExit: An unsafe input in lock-step.
+        """
+        try:
+            callback(*arguments)
+        except ValueError as error:
+            self.reject(error)
+            self.end_lock_step()
+        except Exception as error:
+            self.failures += 1
+            self.get_logger().error(f"internal error: {error!r}", throttle_duration_sec=1.0)
+            self.end_lock_step()
+
+    def end_lock_step(self) -> None:
+        """End the process in lock-step, where all nodes would wait for ever."""
+        if self.lock_step:
+            raise SystemExit(UNSAFE)
+
+    def on_command(self, message: JointState) -> None:
+        """Pass a sound command on at once.
+
+        Raises:
+            ValueError: The command is unsafe.
+        """
+        try:
+            angle = commands.steering_angle(message, self.steering).value
+        except ValueError as error:
+            self.gate.suspect(str(error))
+            raise
+        rate = angle_rate(message, self.steering)
+        if problem := self.gate.take_command(angle, rate, time.monotonic()):
+            raise ValueError(problem)
+        self.command = message
+        self.advance()
+
+    def on_speed(self, message: TwistStamped) -> None:
+        """Use a target speed with the next output."""
+        target = commands.target_speed(message)
+        self.gate.take_speed(target.value, time.monotonic())
+        self.target = target
+
+    def on_plan(self, message: JointTrajectory) -> None:
+        """Use a plan instead of the last one."""
+        self.gate.take_plan(steering_plan(message, self.steering), time.monotonic())
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Use the measured pose and speed."""
+        position, twist = message.pose.pose.position, message.twist.twist
+        q = message.pose.pose.orientation
+        yaw = yaw_of(q.x, q.y, q.z, q.w)
+        pose = MeasuredPose(position.x, position.y, yaw, twist.linear.x, twist.linear.y)
+        self.gate.take_odometry(pose, time.monotonic())
+
+    def on_steering(self, message: JointState) -> None:
+        """Use the measured angle."""
+        angle = commands.steering_angle(message, self.steering).value
+        self.gate.take_measured(angle, time.monotonic())
+
+    def on_deadline(self, _: Any) -> None:
+        """Doubt the last command: the middleware has noticed that the next one is late."""
+        self.gate.suspect("deadline of steering_command missed")
+
+    def on_liveliness(self, event: Any) -> None:
+        """Doubt the last command of a controller that no longer lives."""
+        if event.not_alive_count_change > 0:
+            self.gate.suspect("the publisher of steering_command has lost its liveliness")
+
+    def on_timer(self) -> None:
+        """Publish heartbeat and output."""
+        self.rounds += 1
+        self.outputs.heartbeat.publish(UInt64(data=self.rounds))
+        self.gate.intruders = self.second_publishers()
+        self.advance()
+
+    def is_ready(self) -> bool:
+        """Return whether there are publishers to the car, and the recorder that is awaited."""
+        return self.outputs.connect() and not self.unrecorded()
+
+    def connect(self) -> None:
+        """Lock-step: create the publishers to the car, once."""
+        if self.outputs.connect():
+            self.connecting.cancel()
+
+    def advance(self) -> None:
+        """Decide and publish; not before an awaited recorder is there."""
+        if not self.is_ready():
+            return
+        before = self.gate.state
+        output = self.gate.step(time.monotonic())
+        if output:
+            self.publish(output)
+        if self.gate.state is not before:
+            self.report_change(before)
+
+    def publish(self, output: GateOutput) -> None:
+        """Publish an output, with the stamps of what it passes on."""
+        command = self.command if output.is_command else None
+        now_ns = self.now_ns
+        stamp_ns = commands.nanoseconds(command.header.stamp) if command else now_ns
+        target = self.target if self.gate.state in DRIVES else None
+        self.outputs.publish_drive(output, stamp_ns)
+        self.outputs.publish_steering(output, stamp_ns, command)
+        self.outputs.publish_speed(output.speed, target.stamp_ns if target else now_ns)
+
+    def report_change(self, before: GateState) -> None:
+        """Publish a new state, with a request to stop where it is one."""
+        state = self.gate.state
+        self.outputs.publish_state(state)
+        line = ": ".join(filter(None, (state.value, self.gate.reason)))
+        if state in STOPS:
+            self.get_logger().error(line)
+        elif state is GateState.DEGRADED:
+            self.get_logger().warning(line, throttle_duration_sec=1.0)
+        elif before is not GateState.DEGRADED:
+            self.get_logger().info(line)
+        if state in STOPS or before in STOPS:
+            self.on_diagnostics()
+
+    def second_publishers(self) -> str:
+        """Return which inputs have more than one publisher, in one sentence; empty: none."""
+        sentences = []
+        for topic in GUARDED:
+            if self.count_publishers(topic) > 1:
+                each_of = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+                nodes = [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in each_of]
+                sentences.append(f"{topic} has {len(nodes)} publishers: {', '.join(sorted(nodes))}")
+        return "; ".join(sentences)
+
+    def on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Drive again after a stop."""
+        before = self.gate.state
+        if self.lock_step:
+            response.message = "in lock-step the gate never stops the car"
+            return response
+        self.gate.intruders = self.second_publishers()
+        problem = self.gate.reset(time.monotonic())
+        response.success = not problem
+        response.message = problem or "driving"
+        if response.success:
+            self.report_change(before)
+        return response
+
+    def on_diagnostics(self) -> None:
+        """Report state, reason and numbers."""
+        gate, now = self.gate, time.monotonic()
+        problems = [self.clock_check.problem(), *self.inputs.mismatches()]
+        level, sentence = LEVELS[gate.state], ""
+        if gate.state is not GateState.DRIVING:
+            sentence = ": ".join(filter(None, (gate.state.value, gate.reason)))
+        if any(problems):
+            level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
+        values = {"state": float(list(GateState).index(gate.state)), "rounds": float(self.rounds)}
+        values |= {"internal_errors": float(self.failures), "speed": gate.speed_at(now)}
+        if gate.output:
+            values |= {"commanded_speed": gate.output.speed, "angle": gate.output.angle}
+        ages = {"command": gate.command, "target_speed": gate.target, "plan": gate.plan}
+        values |= {f"{name}_age": now - each.at for name, each in ages.items() if each}
+        values |= {f"clipped_{name}": float(count) for name, count in gate.guard.count.items()}
+        self.report(self.now_ns, sentence, values, level)
+
+    def on_odometry_in_lock_step(self, message: Odometry) -> None:
+        """Store the speed of a state, and pass a command on that has waited for it."""
+        stamp_ns = commands.nanoseconds(message.header.stamp)
+        self.speeds[stamp_ns] = message.twist.twist.linear.x
+        while len(self.speeds) > SPEEDS_KEPT:
+            del self.speeds[next(iter(self.speeds))]
+        self.pass_on()
+
+    def on_command_in_lock_step(self, message: JointState) -> None:
+        """Pass a command on.
+
+        Raises:
+            ValueError: The command is unsafe, or there is a second publisher.
+        """
+        if intruders := self.second_publishers():
+            raise ValueError(intruders)
+        commands.steering_angle(message, self.steering)
+        self.command = message
+        self.pass_on()
+
+    def pass_on(self) -> None:
+        """Publish the newest command once, after the state that it answers."""
+        command = self.command
+        stamp_ns = commands.nanoseconds(command.header.stamp) if command else -1
+        if command is None or stamp_ns not in self.speeds or not self.is_ready():
+            return
+        self.command = None
+        angle = commands.steering_angle(command, self.steering).value
+        rate = angle_rate(command, self.steering)
+        self.passed = self.passing.step(stamp_ns, angle, rate, self.speeds[stamp_ns])
+        is_command = self.passed.is_command
+        self.outputs.publish_steering(self.passed, stamp_ns, command if is_command else None)
+        self.gate.state = GateState.DRIVING
+        self.outputs.publish_state(self.gate.state)
+        self.pass_pair()
+
+    def on_speed_in_lock_step(self, message: TwistStamped) -> None:
+        """Pass a target speed on, unchanged."""
+        target = commands.target_speed(message)
+        if self.is_ready():
+            self.target = target
+            self.outputs.speeds.publish(message)
+            self.pass_pair()
+
+    def pass_pair(self) -> None:
+        """Publish the complete command once both parts answer the same state."""
+        if self.passed and self.target and self.target.stamp_ns == self.passing.stamp_ns:
+            output = self.passed._replace(speed=self.target.value)
+            self.outputs.publish_drive(output, self.target.stamp_ns)
+
+
+def main() -> int:
+    """Run the node."""
+    return spin(GateNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
