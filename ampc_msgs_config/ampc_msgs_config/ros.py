@@ -16,9 +16,9 @@ from ampc_msgs_config.nodes.commands import *  # noqa: F403 (public names of thi
 from ampc_msgs_config.nodes.commands import ROAD_WHEEL, joint_message, nanoseconds, time_message
 from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.parameters import SteeringParameters
+from ampc_msgs_config.quaternions import tilt_from_quaternion
 from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.topics import BASE_LINK, MAP, TICK_QUANTITIES
-from ampc_msgs_config.quaternions import tilt_from_quaternion
 from ampc_msgs_config.types import (
     QUATERNION_LENGTH,
     Array,
