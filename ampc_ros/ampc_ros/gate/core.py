@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
-from ampc_ros.gate.following import MeasuredPose, correction, followed_angle, place_on
+from ampc_ros.gate.following import MeasuredPose, followed_angle, place_on, pose_correction
 from ampc_ros.gate.plan import SteeringPlan
 from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
 from ampc_ros.supervision.guard import MAX_GUARD_SPEED, MAX_MEASURED, Guard, bounds
@@ -316,7 +316,7 @@ class Gate:
             pose = self.pose[0]
             if place := place_on(plan.plan, pose, distance):
                 self.odometer, distance = plan.odometer + place.distance, place.distance
-                change = correction(place, chassis, pose)
+                change = pose_correction(place, chassis, pose)
         return change + followed_angle(plan.plan, chassis, distance, self.speed_at(now))
 
     def _commanded_speed(self, now: float) -> float:

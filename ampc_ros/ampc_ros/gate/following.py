@@ -14,16 +14,16 @@ from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_ros.gate.plan import SteeringPlan
 from ampc_ros.supervision.guard import interpolate_linear
 
-FREQUENCY = 1.2
+RETURN_FREQUENCY = 1.2
 """Natural frequency of the return to the planned places: slow enough for a steering with 0.3 s of
 delay [rad/s]."""
-SHORTEST_RETURN = 1.5
+LEAST_RETURN = 1.5
 """Smallest ratio of speed to frequency: a slow car returns over a distance [wheelbases]."""
 MOST_ERROR = 1.0
 """Error at which the correction saturates [m]."""
 CREDIBLE_ERROR, CREDIBLE_HEADING = 3.0, math.pi / 3
 """A pose that differs more from the plan is not used [m, rad]."""
-WINDOW, WINDOW_TIME = 2.0, 0.5
+PROJECTION_REACH, PROJECTION_TIME = 2.0, 0.5
 """Range of the projection, ahead and behind: distance [m], and time at the planned speed [s]."""
 
 
@@ -72,7 +72,7 @@ def followed_angle(
     return angle * (L + K_us * speed * speed) / (L + K_us * planned * planned)
 
 
-def correction(place: PlanPlace, chassis: ChassisParameters, pose: MeasuredPose) -> float:
+def pose_correction(place: PlanPlace, chassis: ChassisParameters, pose: MeasuredPose) -> float:
     """Return the change of the angle that brings a car back to the planned places [rad].
 
     The error obeys e'' = v^2 kappa, so kappa = -(omega^2 e + 2 omega e') / v^2 brings it to rest.
@@ -83,7 +83,7 @@ def correction(place: PlanPlace, chassis: ChassisParameters, pose: MeasuredPose)
         pose: Its pose and velocity.
     """
     v, L = max(pose.v_x, MIN_SPEED), chassis.wheelbase
-    omega = min(FREQUENCY, v / (SHORTEST_RETURN * L))
+    omega = min(RETURN_FREQUENCY, v / (LEAST_RETURN * L))
     error = min(max(place.error, -MOST_ERROR), MOST_ERROR)
     sine, cosine = math.sin(place.heading_error), math.cos(place.heading_error)
     pull = omega * omega * error + 2 * omega * (v * sine + pose.v_y * cosine)
@@ -100,7 +100,9 @@ def place_on(plan: SteeringPlan, pose: MeasuredPose, distance: float) -> PlanPla
     """
     if not plan.places:
         return None
-    reach = WINDOW + WINDOW_TIME * interpolate_linear(plan.distances, plan.speeds, distance)
+    reach = PROJECTION_REACH + PROJECTION_TIME * interpolate_linear(
+        plan.distances, plan.speeds, distance
+    )
     first = max(bisect_left(plan.distances, distance - reach) - 1, 0)
     last = min(bisect_right(plan.distances, distance + reach), len(plan.places) - 1)
     nearest, at, share = math.inf, first, 0.0

@@ -17,13 +17,13 @@ from ampc_ros.preview.model import road_steering
 
 PLAN_PERIOD = 0.1
 """Least time between two points of the optimised part, and between two plans [s]."""
-POINT_SPACING, MOST_POINTS = 0.4, 100
+PLAN_SPACING, MOST_CONTINUED = 0.4, 100
 """Least distance of the points of the continuation [wheelbases], and their largest number."""
-SLOWEST = 0.5
+LEAST_PLANNED_SPEED = 0.5
 """Speed at the last point, from which the angle does not change any more [m/s]."""
 CURVATURE_TIME, LEAST_REACH = 0.1, 0.1
 """Time and least distance over which the curvature is averaged [s, wheelbases]."""
-GENTLE = 2.0
+PLAN_DECELERATION = 2.0
 """Largest deceleration of a plan: the plan must not end before a car that brakes at this [m/s^2].
 """
 
@@ -74,21 +74,21 @@ def stopping_plan(
     """
     every = max(round(PLAN_PERIOD / period), 1)
     planned = np.asarray(angles, dtype=float)[::every]
-    v, a = max(start.v_x, 0.0), min(braking, GENTLE)
+    v, a = max(start.v_x, 0.0), min(braking, PLAN_DECELERATION)
     time = every * period * np.arange(len(planned), dtype=np.float64)
     distance: Array = v * time
 
     # Continuation: the speed falls from the end of the optimised part on
-    end, slowest = float(distance[-1]), min(SLOWEST, v)
-    spacing = POINT_SPACING * (car.vehicle[2] + car.vehicle[3])
+    end, slowest = float(distance[-1]), min(LEAST_PLANNED_SPEED, v)
+    spacing = PLAN_SPACING * (car.vehicle[2] + car.vehicle[3])
     length = max((v * v - slowest * slowest) / (2 * a), 2 * spacing)
-    count = min(math.ceil(length / spacing), MOST_POINTS)
+    count = min(math.ceil(length / spacing), MOST_CONTINUED)
     beyond: Array = length / count * np.arange(1.0, count + 1.0, dtype=np.float64)
     speed = np.sqrt(np.maximum(v * v - 2 * a * beyond, slowest * slowest))
     mean = (np.concatenate(([v], speed[:-1])) + speed) / 2
-    steps = np.diff(beyond, prepend=0.0) / np.maximum(mean, SLOWEST)
+    steps = np.diff(beyond, prepend=0.0) / np.maximum(mean, LEAST_PLANNED_SPEED)
     road = road_angles(start.path, start.s + end + beyond, speed, car)
-    if v < SLOWEST:
+    if v < LEAST_PLANNED_SPEED:
         road = np.full(count, planned[-1])
 
     distance = np.concatenate((distance, end + beyond))
