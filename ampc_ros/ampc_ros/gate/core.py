@@ -11,7 +11,13 @@ from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_ros.gate.following import MeasuredPose, followed_angle, place_on, pose_correction
 from ampc_ros.gate.plan import SteeringPlan
 from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
-from ampc_ros.supervision.guard import MAX_GUARD_SPEED, MAX_MEASURED, Guard, bounds
+from ampc_ros.supervision.guard import (
+    LONGEST_PAUSE,
+    MAX_GUARD_SPEED,
+    MAX_MEASURED,
+    Guard,
+    bounds,
+)
 
 SPEED_TIMEOUT = 1.0
 """Age of the target speed that stops the car [s]."""
@@ -169,9 +175,9 @@ class Gate:
         bound = bounds(guard.limits, guard.chassis, self.speed_at(now))
         most = LIMIT_SHARE * min(bound.angle, bound.acceleration)
         if last:
-            # A sound controller moves at the limit of the rate, and may be one period late.
-            time = max(now - last.at, 0.0) + self.settings.period
-            reach = min(bound.rate, bound.jerk) * time + ROUNDING
+            # A sound controller moves at most at the limit of the rate, and after a pause as far
+            # as in two periods. One that has jumped does not become sound by staying there.
+            reach = LONGEST_PAUSE * self.settings.period * min(bound.rate, bound.jerk) + ROUNDING
             if abs(angle - last.angle) > reach:
                 step = f"{angle - last.angle:.3f} rad from the last one"
                 return f"steering_command: step of {step} must lie within {reach:.3f} rad"
