@@ -17,7 +17,7 @@ from ampc_msgs_config.scenarios.scenario import (
     load_scenario,
     speed_at,
 )
-from ampc_msgs_config.types import NANOSECONDS, VehicleState
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.gate.core import Gate
 from ampc_ros.gate.following import MeasuredPose
@@ -84,7 +84,7 @@ class Stop(NamedTuple):
 def true_road(name: str, car: str) -> Road:
     """Return a road with its exact geometry."""
     if name == "20 m circle":
-        angles = np.arange(125, dtype=np.float64) * (math.tau / 125)
+        angles: Array = np.arange(125, dtype=np.float64) * (math.tau / 125)
         return road_through(20.0 * np.column_stack((np.sin(angles), 1.0 - np.cos(angles))), True)
     if name in ("sc1", "sc2"):
         size = load_vehicle_file(find("vehicles", car)).size
