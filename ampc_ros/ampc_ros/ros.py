@@ -6,14 +6,18 @@ from functools import partial
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64, String, UInt8MultiArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import TickRecord
 from ampc_ros.configuration import to_yaml
+from ampc_ros.supervision import memory
 from ampc_ros.supervision.supervisor import Supervisor
+
+MEMORY_PERIOD = 2.0
+"""Time between two memories, after which a recorder that joins a drive knows everything [s]."""
 
 
 class Outputs:
@@ -34,6 +38,7 @@ class Outputs:
         self.debug = [publish(Float64, f"~/debug/{name}", ros.RELIABLE) for name in names]
         self.ticks = publish(JointState, ros.TICK, ros.RELIABLE)
         self.predictions = publish(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
+        self.memories = publish(UInt8MultiArray, ros.MEMORY, ros.LATCHED)
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.stops = publish(Bool, ros.STOP_REQUEST, ros.LATCHED)
         self.newest: JointState | None = None
@@ -42,7 +47,7 @@ class Outputs:
     def destroy(self) -> None:
         """Destroy all publishers."""
         others = self.commands, self.ticks, self.predictions, self.configurations, self.stops
-        for each in (*self.debug, *others):
+        for each in (*self.debug, *others, self.memories):
             self.node.destroy_publisher(each)
 
     def publish_configuration(self, supervisor: Supervisor, text: str = "") -> None:
@@ -84,6 +89,12 @@ class Outputs:
         if plan.prediction is not None and self.predictions.get_subscription_count():
             message = ros.path_message(plan.prediction, command.stamp_ns, frame_id)
             self.predictions.publish(message)
+
+    def publish_memory(self, supervisor: Supervisor, commands: int) -> None:
+        """Publish what the controller remembers after its first command, then every 2 s."""
+        ticks = max(round(MEMORY_PERIOD / supervisor.period), 1)
+        if commands % ticks == 1 % ticks and (data := memory.store(supervisor)):
+            self.memories.publish(ros.memory_message(data, commands))
 
     def repeat(self) -> None:
         """Publish the newest command once more."""

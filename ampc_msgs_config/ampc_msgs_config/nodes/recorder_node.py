@@ -62,6 +62,7 @@ CONTRACT: dict[str, Any] = {
 LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
+    topics.MEMORY,
     topics.TF_STATIC,
     *topics.CONFIGURATIONS,
 }

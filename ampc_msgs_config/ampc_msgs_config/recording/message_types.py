@@ -21,6 +21,7 @@ TOPIC_TYPES = {
     topics.WIND: "geometry_msgs/msg/Vector3Stamped",
     topics.STOP_REQUEST: "std_msgs/msg/Bool",
     topics.TICK: "sensor_msgs/msg/JointState",
+    topics.MEMORY: "std_msgs/msg/UInt8MultiArray",
     topics.MARKERS: "visualization_msgs/msg/MarkerArray",
     topics.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     topics.PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",

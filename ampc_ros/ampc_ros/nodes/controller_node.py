@@ -309,6 +309,7 @@ class ControllerNode(ConfiguredNode):
             account = self.rejected, self.policy.missed, self.commands
             steering = self.supervisor.config.steering
             self.outputs.publish_tick(record, timing, account, steering, self.frame.name)
+            self.outputs.publish_memory(self.supervisor, self.commands)
             self.report_change(record)
 
     def report_change(self, record: TickRecord) -> None:
