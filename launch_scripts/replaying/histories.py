@@ -64,8 +64,7 @@ def history_of(run: RecordedRun, config: Mapping[int, Configuration]) -> History
         elif number == 1:  # a process begins
             is_exact = True
         if not is_exact:
-            of_tick = config[int(tick.values.get("configuration", min(config)))]
-            data = usable_memory(by_number.get(number - 1, []), tick, of_tick)
+            data = usable_memory(by_number.get(number - 1, []), tick, config)
             is_exact = bool(data)
         if data:
             history.gaps[-1] = history.gaps[-1]._replace(exact_from=number)
@@ -75,7 +74,7 @@ def history_of(run: RecordedRun, config: Mapping[int, Configuration]) -> History
 
 
 def usable_memory(
-    memories: Sequence[StoredMemory], tick: RecordedTick, config: Configuration
+    memories: Sequence[StoredMemory], tick: RecordedTick, config: Mapping[int, Configuration]
 ) -> bytes:
     """Return the memory before a tick, of several that nearest in the bag; empty: there is none."""
     for memory in sorted(memories, key=lambda each: abs(each.position - tick.position)):

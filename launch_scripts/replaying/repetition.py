@@ -54,7 +54,7 @@ def replay_ticks(
             resets = int(tick.values.get("resets", 0))
             supervisor = Supervisor(config[number], number=number, resets=resets)
         if tick.memory and not synchronised:
-            supervisor = restore(tick.memory, config[number])
+            supervisor = restore(tick.memory, config)
         if number != supervisor.number:
             supervisor.reconfigure(config[number])
         # inputs, as they were accepted

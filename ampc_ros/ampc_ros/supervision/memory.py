@@ -1,90 +1,61 @@
-"""Memory of a supervisor as bytes, from which a replay continues in the middle of a drive.
+"""Memory of a supervisor as data, from which a replay continues in the middle of a drive.
 
 A recorder that joins a drive has not seen the earlier ticks, and what they left in the estimators
-never fades completely. So the controller publishes its memory every 2 s.
+never fades completely. So the controller publishes its memory every 2 s: JSON with a checksum,
+which is written into a new supervisor of the same configuration. It can hold numbers, arrays and
+objects of CLASSES, but no code.
 """
 
-import io
-import pickle
+import base64
+import json
 import zlib
-from typing import Any, BinaryIO
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from ampc_msgs_config.paths.path import Path, Progress
+from ampc_msgs_config.types import Diagnosis, Plan, VehicleState
+from ampc_ros.assumed_car import AssumedCar, SteeringResponse
 from ampc_ros.configuration import Configuration
-from ampc_ros.mpc.small_matrices import Scratch, make_scratch
+from ampc_ros.estimation.command_history import SentCommand
+from ampc_ros.mpc.small_matrices import Scratch
+from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 
 CHECKSUM_SIZE = 4
 """Length of the checksum in front of the content [bytes]."""
-PACKAGES = (
-    *("ampc_ros.supervision.", "ampc_ros.estimation.", "ampc_ros.preview.", "ampc_ros.paper."),
-    *("ampc_ros.mpc.", "ampc_msgs_config.paths."),
-)
-MODULES = (
-    *("ampc_ros.assumed_car", "ampc_ros.configuration", "ampc_ros.pure_pursuit"),
-    *("ampc_msgs_config.parameters", "ampc_msgs_config.types"),
-)
-ARRAY: Any = np.empty(0)
-NUMBER: Any = np.float64(0.0)
-FUNCTIONS: tuple[Any, ...] = (
-    make_scratch,
-    ARRAY.__reduce__()[0],
-    ARRAY.__reduce_ex__(pickle.HIGHEST_PROTOCOL)[0],
-    NUMBER.__reduce__()[0],
-)
-"""Functions that rebuild arrays and numbers."""
-VARIABLE = ("angles",)
-"""Attributes whose size changes during a drive."""
-
-
-class Pickler(pickle.Pickler):
-    """Writes a supervisor without the contents of its scratch arrays."""
-
-    def reducer_override(self, obj: Any) -> Any:
-        """Replace scratch arrays by new ones."""
-        if isinstance(obj, Scratch):
-            return make_scratch, (len(obj.numbers),)
-        return NotImplemented
-
-
-class Unpickler(pickle.Unpickler):
-    """Reads a supervisor; other classes and functions than those of a controller are refused."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        """Return a class that a memory may contain.
-
-        Raises:
-            ValueError: It may not.
-        """
-        if (module, name) in (("collections", "deque"), ("numpy", "dtype"), ("numpy", "ndarray")):
-            return super().find_class(module, name)
-        for each in FUNCTIONS:
-            if (each.__module__, each.__qualname__) == (module, name):
-                return each
-        if module.startswith(PACKAGES) or module in MODULES:
-            found = super().find_class(module, name)
-            if isinstance(found, type) and found.__module__ == module:
-                return found
-        raise ValueError(f"a memory must not contain {module}.{name}")
+CLASSES = {
+    each.__name__: each
+    for each in (
+        *(AssumedCar, Diagnosis, Path, Plan, Progress, Received, SentCommand, SteeringResponse),
+        VehicleState,
+    )
+}
+"""Classes of values that a new supervisor does not have yet."""
+NOT_STORED = ("_config", "_filter", "odometry")
+"""Attributes of a supervisor that no replayed tick reads: accepted states are in the recording."""
+VARIABLE = ("angles", "prediction", "_points")
+"""Arrays whose size changes during a drive."""
+KEEP = {"keep": True}
+"""Stands for what a new supervisor has from its configuration."""
 
 
 def store(supervisor: Supervisor) -> bytes:
     """Return the memory of a supervisor after a tick; empty: the controller is that of a user."""
     if supervisor.controller.formulation == "custom":
         return b""
-    stream = io.BytesIO()
-    Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(supervisor)
-    content = stream.getvalue()
+    content = json.dumps([supervisor.number, to_data(supervisor, {})]).encode()
     return zlib.crc32(content).to_bytes(CHECKSUM_SIZE, "little") + content
 
 
-def restore(data: bytes, config: Configuration) -> Supervisor:
-    """Return the supervisor with a stored memory.
+def restore(data: bytes, config: Mapping[int, Configuration]) -> Supervisor:
+    """Return a supervisor with a stored memory.
 
     Args:
         data: Result of `store`.
-        config: Configuration whose supervisor has the same structure.
+        config: Configurations by number.
 
     Raises:
         ValueError: The data are damaged, or those of another version or configuration.
@@ -93,26 +64,124 @@ def restore(data: bytes, config: Configuration) -> Supervisor:
     if zlib.crc32(content).to_bytes(CHECKSUM_SIZE, "little") != checksum:
         raise ValueError("the memory of the controller is damaged")
     try:
-        stream: BinaryIO = io.BytesIO(content)
-        found = Unpickler(stream).load()
-    except Exception as error:
-        raise ValueError(f"the memory of the controller cannot be read: {error}") from error
-    if not has_structure_of(Supervisor(config), found):
-        raise ValueError("the memory of the controller is that of another version")
-    return found  # type: ignore[no-any-return]
+        number, memory = json.loads(content)
+        supervisor = Supervisor(config[number], number=number)
+        from_data(memory, supervisor, "", [])
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        raise ValueError(f"the memory of the controller is of another version: {error}") from error
+    return supervisor
 
 
-def has_structure_of(expected: Any, found: Any) -> bool:
-    """Return whether an object has the attributes and array shapes of another one."""
-    if expected is None or found is None:
-        return True
-    if type(expected) is not type(found):
-        return False
-    if isinstance(expected, np.ndarray):
-        return (expected.dtype, expected.shape) == (found.dtype, found.shape)
-    if not hasattr(expected, "__dict__"):
-        return True
-    a, b = vars(expected), vars(found)
-    if a.keys() != b.keys():
-        return False
-    return all(has_structure_of(a[name], b[name]) for name in a if name not in VARIABLE)
+def to_data(value: Any, seen: dict[int, int]) -> Any:
+    """Return a value as data of JSON.
+
+    Args:
+        value: Number, array, collection or object.
+        seen: Number of each object that has been converted, by its identity.
+    """
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, dict):
+        return {"dict": [[key, to_data(item, seen)] for key, item in value.items()]}
+    is_record = isinstance(value, tuple) and hasattr(value, "_fields")
+    if isinstance(value, tuple) and not is_record:
+        return {"tuple": [to_data(item, seen) for item in value]}
+    if id(value) in seen:
+        return {"same": seen[id(value)]}
+    if isinstance(value, np.ndarray):
+        seen[id(value)] = len(seen)
+        text = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode()
+        return {"array": text, "type": value.dtype.str, "shape": value.shape}
+    if isinstance(value, list | deque):
+        seen[id(value)] = len(seen)
+        items = [to_data(item, seen) for item in value]
+        return {"list": items, "longest": getattr(value, "maxlen", -1)}
+    fields = value._asdict() if is_record else getattr(value, "__dict__", {})
+    if isinstance(value, Scratch) or hasattr(value, "__dataclass_fields__") or not fields:
+        return KEEP
+    seen[id(value)] = len(seen)
+    stored = {name: to_data(each, seen) for name, each in fields.items() if name not in NOT_STORED}
+    return {"object": type(value).__name__, "fields": stored}
+
+
+def from_data(data: Any, like: Any, name: str, seen: list[Any]) -> Any:
+    """Return a value from its data; objects of a new supervisor are changed in place.
+
+    Args:
+        data: Result of `to_data`.
+        like: What a new supervisor has at this place; None: nothing.
+        name: Name of the attribute.
+        seen: Receives each object, in the order of `to_data`.
+
+    Raises:
+        ValueError: The data do not fit to the new supervisor.
+    """
+    if not isinstance(data, dict):
+        return data
+    if data == KEEP and like is not None:
+        return like
+    if "same" in data:
+        return seen[data["same"]]
+    if "tuple" in data:
+        return tuple(from_data(item, None, name, seen) for item in data["tuple"])
+    if "dict" in data:
+        content = {key: from_data(item, None, name, seen) for key, item in data["dict"]}
+        if isinstance(like, dict):  # several objects may refer to it
+            like.clear()
+            like.update(content)
+            return like
+        return content
+    place = len(seen)
+    seen.append(None)
+    if "array" in data:
+        seen[place] = array_of(data, like, name)
+    elif "list" in data:
+        items = [from_data(item, None, name, seen) for item in data["list"]]
+        longest = data["longest"]
+        seen[place] = items if longest == -1 else deque(items, longest)
+    else:
+        seen[place] = object_of(data, like, place, seen)
+    return seen[place]
+
+
+def array_of(data: Mapping[str, Any], like: Any, name: str) -> Any:
+    """Return an array from its data.
+
+    Raises:
+        ValueError: Its type or shape is not that of the new supervisor.
+    """
+    shape = tuple(data["shape"])
+    if data["type"] not in ("<f8", "<i8", "|b1"):
+        raise ValueError(f"{name} has the type {data['type']}")
+    array = np.frombuffer(base64.b64decode(data["array"]), data["type"]).reshape(shape).copy()
+    is_fixed = isinstance(like, np.ndarray) and name not in VARIABLE
+    if is_fixed and (like.dtype, like.shape) != (array.dtype, shape):
+        raise ValueError(f"{name} has the shape {shape}, not {like.shape}")
+    return array
+
+
+def object_of(data: Mapping[str, Any], like: Any, place: int, seen: list[Any]) -> Any:
+    """Return an object from its data: that of the new supervisor, or one of CLASSES.
+
+    Raises:
+        ValueError: Its class or its attributes are not those of the new supervisor.
+    """
+    kind, fields = data["object"], data["fields"]
+    cls: Any = type(like) if type(like).__name__ == kind else CLASSES[kind]
+    if not isinstance(like, cls):
+        like = None
+    if issubclass(cls, tuple):
+        parts = {
+            name: from_data(fields[name], getattr(like, name, None), name, seen)
+            for name in cls._fields
+        }
+        return cls(**parts)
+    target = cls.__new__(cls) if like is None else like
+    if missing := vars(target).keys() - fields.keys() - set(NOT_STORED):
+        raise ValueError(f"{kind} has no {', '.join(sorted(missing))}")
+    seen[place] = target
+    for name, item in fields.items():
+        setattr(target, name, from_data(item, getattr(like, name, None), name, seen))
+    return target
