@@ -56,7 +56,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("bag", type=Path, help="folder of a bag, or one MCAP file")
+    add("bag", type=Path, help="folder of a bag, or one of its files")
     add("--namespace", help="namespace of the topics, such as /car1; default: of the first command")
     add("--odom", metavar="TOPIC", help="odometry that the controller used; default: odom")
     add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")

@@ -15,7 +15,7 @@ from launch_scripts.replaying.recorded_run import RecordedRun, RecordedTick, Sto
 
 MOST_GAPS = 5
 """Most gaps that are described."""
-UNKNOWN = f"no {MEMORY} follows, so no tick behind them can be repeated exactly"
+NO_MEMORY = f"no {MEMORY} follows, so no tick behind them can be repeated exactly"
 
 
 class Gap(NamedTuple):
@@ -93,7 +93,7 @@ def describe_gaps(history: History) -> list[str]:
         count = gap.last - gap.first + 1
         ticks = f"{count} ticks are missing from tick {gap.first} on" if count > 1 else ""
         ticks = ticks or f"tick {gap.first} is missing"
-        exact = f"exact from tick {gap.exact_from} on" if gap.exact_from else UNKNOWN
+        exact = f"exact from tick {gap.exact_from} on" if gap.exact_from else NO_MEMORY
         lines.append(f"{ticks}: {exact}")
     if len(history.gaps) > MOST_GAPS:
         lines.append(f"{len(history.gaps) - MOST_GAPS} further gaps")

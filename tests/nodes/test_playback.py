@@ -141,7 +141,7 @@ def test_old_stamps_on_a_clock_of_today_are_named_with_the_remedy(
 def test_a_path_that_the_start_offset_left_out_is_named_and_may_come_later(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(playback, "PATIENCE", 0.0)
+    monkeypatch.setattr(playback, "PATH_PATIENCE", 0.0)
     with player() as each:
         each.play(1.0, 2.0)
         each.controller.on_diagnostics()

@@ -6,7 +6,7 @@ from ampc_ros.supervision.supervisor import Supervisor
 
 OTHER_CLOCK = 5.0
 """Age of a state that has just arrived, beyond that of any network [s]."""
-PATIENCE = 3.0
+PATH_PATIENCE = 3.0
 """Wall time for which a path is awaited before it is reported as missing [s]."""
 PLAY = "set use_sim_time:=true and play the bag with --clock 1000"
 
@@ -48,7 +48,7 @@ class PlaybackAdvice:
             if is_simulated:
                 return f"odom is {age:.0f} s behind /clock: only one player may publish /clock"
             return f"odom arrives, but its stamps are {age:.0f} s old: {PLAY}"
-        if wall - self._without_path > PATIENCE:
+        if wall - self._without_path > PATH_PATIENCE:
             remedy = "play the bag from its start, or publish the path transient local"
             return f"reference_path is missing, --start-offset leaves it out: {remedy}"
         return ""
