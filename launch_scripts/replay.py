@@ -5,8 +5,11 @@ bits; the first difference is printed with its inputs. With `--controller`, `--g
 `--set` the changed controller answers the recorded situations (open loop: the recorded car does not
 react to it). With `--close-loop` it drives the simulated car of the bag from its start.
 
+Ticks that are missing in the bag are reported. Behind them the replay is exact from the next
+`controller/memory` on; ticks before it are compared with `--tolerance` only.
+
 The exit code is 0 where all commands are equal or the configuration was changed, 1 where one
-differs, 2 where the bag or an option is wrong.
+differs, 2 where the bag or an option is wrong, 3 where no tick could be compared bit for bit.
 """
 
 import argparse
@@ -30,6 +33,7 @@ from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.warm_up import warm_up
+from launch_scripts.replaying.histories import History, describe_gaps, history_of
 from launch_scripts.replaying.recorded_run import RecordedRun, RecordedTick, read_run
 from launch_scripts.replaying.repetition import (
     Difference,
@@ -42,7 +46,8 @@ from launch_scripts.replaying.repetition import (
 from sim_vehicle.closed_loop import drive
 from sim_vehicle.configuration import simulation_of
 
-WRONG_INPUT = 2
+WRONG_INPUT, NOT_COMPARABLE = 2, 3
+"""Exit codes."""
 
 
 def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -51,7 +56,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("bag", type=Path, help="folder of a bag, or one MCAP file")
+    add("bag", type=Path, help="folder of a bag, or one of its files")
     add("--namespace", help="namespace of the topics, such as /car1; default: of the first command")
     add("--odom", metavar="TOPIC", help="odometry that the controller used; default: odom")
     add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")
@@ -83,8 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             configs = {1: configuration(choices)}
         if run.version not in ("", __version__):
             notes.append(f"recorded by version {run.version}, this is {__version__}")
-        if (first := run.ticks[0].values.get("commands", 1.0)) > 1:
-            notes.append(f"begins at tick {first:.0f}: the controller's state then is unknown")
+        history = history_of(run, configs)
+        notes += describe_gaps(history)
         for change in changes:
             configs = {number: change(each) for number, each in configs.items()}
         for note in notes:
@@ -94,9 +99,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for config in configs.values():
             warm_up(config)  # the time to compile does not count
         begin = time.perf_counter()
-        records = list(replay_ticks(run.ticks, configs, synchronised=bool(changes)))
+        records = list(replay_ticks(history.ticks, configs, synchronised=bool(changes)))
         took = reading + time.perf_counter() - begin
-        code = compare_ticks(run, records, options.tolerance, took, console)
+        if changes or options.tolerance > 0:  # the memory is not compared
+            history = history.all_compared()
+        code = compare_ticks(run, history, records, options.tolerance, took, console)
         if changes:
             console.print("open loop: each tick answers the recorded situation and angle in force")
         return 0 if changes else code
@@ -107,37 +114,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def compare_ticks(
     run: RecordedRun,
+    history: History,
     records: Sequence[TickRecord],
     tolerance: float,
     took: float,
     console: Console,
 ) -> int:
     """Compare a replay with the recording, print the first difference; return the exit code."""
-    pairs = list(zip(run.ticks, records, strict=True))
+    pairs = list(zip(history.ticks, records, strict=True))
+    pairs = [(tick, record) for tick, record in pairs if tick.is_exact]
     different = [differences(tick, record, tolerance) for tick, record in pairs]
-    console.print(replay_table(run, records, sum(map(bool, different)), took))
+    console.print(replay_table(run, history, pairs, sum(map(bool, different)), took))
     for (tick, _), difference in zip(pairs, different, strict=True):
         if difference:
             print_difference(tick, tick.now_ns - run.ticks[0].now_ns, difference, console)
             return 1
-    console.print("every command equals the recorded one" + ("" if tolerance else ", bit for bit"))
+    if not pairs:
+        console.print("no tick can be compared bit for bit; --tolerance compares the angles")
+        return NOT_COMPARABLE
+    what = "every command" if len(pairs) == len(records) else f"each of {len(pairs)} commands"
+    console.print(f"{what} equals the recorded one" + ("" if tolerance else ", bit for bit"))
     return 0
 
 
 def replay_table(
-    run: RecordedRun, records: Sequence[TickRecord], different: int, took: float
+    run: RecordedRun,
+    history: History,
+    pairs: Sequence[tuple[RecordedTick, TickRecord]],
+    different: int,
+    took: float,
 ) -> Table:
     """Return the table of differences and speed of a replay."""
-    pairs = zip(run.ticks, records, strict=True)
     off = np.degrees([tick.values["steering"] - each.command.steering for tick, each in pairs])
     length = (run.ticks[-1].now_ns - run.ticks[0].now_ns) / NANOSECONDS
     table = Table(title=Text(f"replay of {run.bag}"), title_justify="left")
     for heading in ("quantity", "value", "unit"):
         table.add_column(heading, justify="right" if heading == "value" else "left")
     table.add_row("ticks", f"{len(run.ticks)}", "")
+    if history.gaps:
+        table.add_row("ticks missing in the bag", f"{history.missing}", "")
+        table.add_row("ticks behind them, not compared", f"{len(run.ticks) - len(pairs)}", "")
     table.add_row("ticks that differ", f"{different}", "")
-    table.add_row("difference of the angle, RMS", f"{np.sqrt(np.mean(off**2)):.3g}", "deg")
-    table.add_row("difference of the angle, largest", f"{np.abs(off).max():.3g}", "deg")
+    if pairs:
+        table.add_row("difference of the angle, RMS", f"{np.sqrt(np.mean(off**2)):.3g}", "deg")
+        table.add_row("difference of the angle, largest", f"{np.abs(off).max():.3g}", "deg")
     table.add_row("times real time, reading included", f"{length / took:.0f}", "")
     return table
 

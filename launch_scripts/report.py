@@ -31,7 +31,7 @@ def read_report_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("bags", nargs="+", type=Path, metavar="BAG", help="folder, or MCAP file")
+    add("bags", nargs="+", type=Path, metavar="BAG", help="folder, or file of a bag")
     text = "page (.html), or folder for report.html; default: next to the first bag"
     add("--output", type=Path, help=text)
     add("--thresholds", type=Path, help="YAML file of limits; see the docs")

@@ -91,6 +91,8 @@ def sample(name: str, stamp_ns: int) -> Any:
         tick = ros.joint_message(stamp_ns, float("-inf"), 0.0)
         tick.name, tick.effort = ["rung"], [0.0]
         return tick
+    if name == ros.MEMORY:
+        return ros.memory_message(b"\x00\xff{}", stamp_ns // TICK_NS)
     if name == ros.STOP_REQUEST:
         return Bool(data=True)
     if name in ros.CONFIGURATIONS:

@@ -1,12 +1,14 @@
 """Conversion between ROS messages and the types of the project; names and QoS of the topics."""
 
 import math
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import JointState
+from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
 
 from ampc_msgs_config.frames import (
     quaternion_from_yaw,
@@ -149,6 +151,23 @@ def tick_message(stamp_ns: int, values: Sequence[float]) -> JointState:
     message.header.stamp = time_message(stamp_ns)
     message.name, message.position = list(TICK_QUANTITIES), [float(value) for value in values]
     return message
+
+
+def memory_message(data: bytes, commands: int) -> UInt8MultiArray:
+    """Pack the memory of a controller after so many commands."""
+    layout = MultiArrayLayout(dim=[MultiArrayDimension(label="commands", size=commands)])
+    return UInt8MultiArray(layout=layout, data=array("B", data))
+
+
+def memory_of(message: UInt8MultiArray) -> tuple[int, bytes]:
+    """Unpack the number of commands, and the memory of a controller after them.
+
+    Raises:
+        ValueError: The number is missing.
+    """
+    if not message.layout.dim:
+        raise ValueError("memory: layout.dim[0].size must be the number of commands")
+    return int(message.layout.dim[0].size), bytes(message.data)
 
 
 def wind_message(stamp_ns: int, wind: tuple[float, float]) -> Vector3Stamped:

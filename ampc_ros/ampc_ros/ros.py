@@ -8,7 +8,7 @@ from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64, String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ampc_msgs_config import ros
@@ -16,8 +16,12 @@ from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, TickRecord
 from ampc_ros.configuration import to_yaml
+from ampc_ros.supervision import memory
 from ampc_ros.supervision.stopping_plan import PLAN_PERIOD, StoppingPlan
 from ampc_ros.supervision.supervisor import Supervisor
+
+MEMORY_PERIOD = 2.0
+"""Time between two memories, after which a recorder that joins a drive knows everything [s]."""
 
 
 class Outputs:
@@ -39,6 +43,7 @@ class Outputs:
         self.debug = [publish(Float64, f"~/debug/{name}", ros.RELIABLE) for name in names]
         self.ticks = publish(JointState, ros.TICK, ros.RELIABLE)
         self.predictions = publish(PathMessage, ros.PREDICTED_PATH, ros.RELIABLE)
+        self.memories = publish(UInt8MultiArray, ros.MEMORY, ros.LATCHED)
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.stops = publish(Bool, ros.STOP_REQUEST, ros.LATCHED)
         self.plans = publish(JointTrajectory, ros.STEERING_PLAN, ros.COMMAND)
@@ -49,7 +54,7 @@ class Outputs:
     def destroy(self) -> None:
         """Destroy all publishers."""
         others = self.commands, self.ticks, self.predictions, self.configurations, self.stops
-        for each in (*self.debug, *others, self.plans):
+        for each in (*self.debug, *others, self.memories, self.plans):
             self.node.destroy_publisher(each)
 
     def publish_configuration(self, supervisor: Supervisor, text: str = "") -> None:
@@ -106,6 +111,12 @@ class Outputs:
         if plan is not None and self.newest is not None:
             self.planned_ns = now_ns
             self.plans.publish(plan_message(plan, self.newest, supervisor.config.steering))
+
+    def publish_memory(self, supervisor: Supervisor, commands: int) -> None:
+        """Publish what the controller remembers after its first command, then every 2 s."""
+        ticks = max(round(MEMORY_PERIOD / supervisor.period), 1)
+        if commands % ticks == 1 % ticks and (data := memory.store(supervisor)):
+            self.memories.publish(ros.memory_message(data, commands))
 
     def repeat(self) -> None:
         """Publish the newest command once more."""

@@ -1,1 +1,1 @@
-"""Reading MCAP bags."""
+"""Reading bags."""

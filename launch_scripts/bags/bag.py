@@ -29,7 +29,8 @@ from launch_scripts.bags.salvage import (
 )
 
 SQLITE_MAGIC = b"SQLite format 3\0"
-SQLITE = "the bag is stored in SQLite; `ros2 bag convert` converts it to MCAP"
+ENDINGS = (".mcap", ".db3")
+"""Endings of the files of a bag, of which one that is compressed has a further one."""
 
 
 class BagMessage(NamedTuple):
@@ -77,11 +78,13 @@ class Bag(NamedTuple):
     """Topics of the bag with their types, such as `nav_msgs/msg/Odometry`."""
     is_complete: bool
     """Whether every file is complete."""
+    left_out: list[str]
+    """Files that cannot be read, one line each."""
 
     @property
     def faults(self) -> list[str]:
-        """What is damaged or doubtful, one line each."""
-        return [fault for file in self.files for fault in file.faults]
+        """What is left out, damaged or doubtful, one line each."""
+        return self.left_out + [fault for file in self.files for fault in file.faults]
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Return the messages of the given topics (full names) in the order of their log times.
@@ -134,24 +137,25 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     files = bag_files(path)
     with ExitStack() as stack:
-        opened = [
-            open_file(file, stack)
-            for file in files
-            if len(files) == 1 or file.stat().st_size  # a killed recorder leaves the last one empty
-        ]
+        opened, left_out = list[BagFile](), list[str]()
+        for file in files:
+            try:
+                opened.append(open_file(file, stack))
+            except ValueError as error:  # a killed recorder leaves the last one empty
+                left_out.append(str(error))
         if not opened:
-            raise ValueError(f"{path}: no bag: all files are empty")
+            raise ValueError(left_out[0])
         topics = {
             channel.topic: file.summary.schemas[channel.schema_id].name if channel.schema_id else ""
             for file in opened
             for channel in file.summary.channels.values()
         }
-        is_complete = len(opened) == len(files) and all(file.is_complete for file in opened)
-        yield Bag(path, opened, topics, is_complete)
+        is_complete = not left_out and all(file.is_complete for file in opened)
+        yield Bag(path, opened, topics, is_complete, left_out)
 
 
 def bag_files(bag: Path) -> list[Path]:
-    """Return the MCAP files of a bag, compressed or not, in the order of their numbers.
+    """Return the MCAP or SQLite files of a bag, compressed or not, in the order of their numbers.
 
     Raises:
         ValueError: There is none.
@@ -160,14 +164,14 @@ def bag_files(bag: Path) -> list[Path]:
         return [bag]
     if not bag.is_dir():
         raise ValueError(f"{bag}: there is no such file or folder")
-    # While rosbag2 compresses a file, both forms exist.
-    files = {file.name.removesuffix(".zstd"): file for file in bag.glob("*.mcap.zstd")}
-    files |= {file.name: file for file in bag.glob("*.mcap")}
-    if not files:
-        is_sqlite = any(bag.glob("*.db3*"))
-        raise ValueError(
-            f"{bag}: {SQLITE if is_sqlite else 'no bag: the folder holds no .mcap file'}"
-        )
+    for ending in ENDINGS:
+        # While rosbag2 compresses a file, both forms exist.
+        files = {file.name.removesuffix(".zstd"): file for file in bag.glob(f"*{ending}.zstd")}
+        files |= {file.name: file for file in bag.glob(f"*{ending}")}
+        if files:
+            break
+    else:
+        raise ValueError(f"{bag}: no bag: the folder holds no .mcap or .db3 file")
 
     def natural_order(name: str) -> list[tuple[int, str]]:  # sorts `bag_10` after `bag_2`
         parts = re.split(r"(\d+)", name)
@@ -177,7 +181,7 @@ def bag_files(bag: Path) -> list[Path]:
 
 
 def check_format(file: Path) -> None:
-    """Check that a file begins as an MCAP file, compressed or not.
+    """Check that a file begins as an MCAP file, a compressed file or a database.
 
     Raises:
         ValueError: The file is empty, in another format or not readable.
@@ -186,13 +190,11 @@ def check_format(file: Path) -> None:
         with file.open("rb") as stream:
             start = stream.read(len(SQLITE_MAGIC))
             stream.seek(0)
-            is_bag = start.startswith(ZSTD_MAGIC) or looks_like_mcap(stream)
+            is_bag = start.startswith((ZSTD_MAGIC, SQLITE_MAGIC)) or looks_like_mcap(stream)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read: {error.strerror}") from error
     if not start:
         raise ValueError(f"{file}: no bag: the file is empty")
-    if start == SQLITE_MAGIC:
-        raise ValueError(f"{file}: {SQLITE}")
     if not is_bag:
         raise ValueError(f"{file}: no bag: the file does not begin as MCAP files do")
 
@@ -219,11 +221,30 @@ def open_file(file: Path, stack: ExitStack) -> BagFile:
 
 @contextmanager
 def open_decompressed(file: Path) -> Iterator[tuple[IO[bytes], str]]:
-    """Open a file; one that is compressed as a whole is decompressed as far as it is undamaged.
+    """Open a file as MCAP: it is decompressed and converted as far as it is undamaged.
 
     Returns:
         The stream, and why it is not all of the file (empty: it is).
+
+    Raises:
+        ValueError: It is a database that cannot be opened.
     """
+    with open_content(file) as (stream, fault):
+        start = stream.read(len(SQLITE_MAGIC))
+        stream.seek(0)
+        if start != SQLITE_MAGIC:
+            yield stream, fault
+            return
+        from launch_scripts.bags.sqlite_bag import to_mcap  # most bags need no database
+
+        with tempfile.TemporaryFile() as converted:
+            damage = to_mcap(stream, file, converted)
+            yield converted, fault or damage
+
+
+@contextmanager
+def open_content(file: Path) -> Iterator[tuple[IO[bytes], str]]:
+    """Open a file; one that is compressed as a whole is decompressed as far as it is undamaged."""
     with file.open("rb") as stream, tempfile.TemporaryFile() as content:
         is_compressed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         limit = MAX_RATIO * max(stream.seek(0, 2), 2**18)

@@ -21,11 +21,14 @@ INPUTS = (
     topics.REFERENCE_PATH,
     topics.TICK,
     topics.STEERING_COMMAND,
+    topics.MEMORY,
     CONTROLLER,
     SIMULATOR,
 )
-LARGEST_AGE = 1e9
-"""Largest age of an input in a tick [s]; a larger one is damaged."""
+LARGEST_AGE = 1e10
+"""Largest age of an input in a tick [s]; that of a stamp 0 is 1.8e9, a larger one is damaged."""
+STAMP_ROUNDING_NS = 1000
+"""Rounding of a stamp that is computed from an age, at most [ns]."""
 LARGEST_COUNT = 2**53
 NO_AGES = {"state_age": 0.0, "state_silence": 0.0, "path_age": 0.0, "path_silence": 0.0}
 """Ages in a bag without tick records: a drive in lock-step, in which no input is late."""
@@ -52,10 +55,26 @@ class RecordedTick(NamedTuple):
     path: RecordedPath
     values: dict[str, float]
     """All quantities of the tick by name; without tick records ages, `steering`, its `rounding`."""
+    position: int = 0
+    """Position in the bag."""
+    is_exact: bool = True
+    """Whether what the controller remembered at this tick is known."""
+    memory: bytes = b""
+    """What it remembered; empty: as after the tick before."""
 
     def ago_ns(self, quantity: str) -> int:
         """Return the time of the tick minus a quantity of the tick [ns]."""
         return self.now_ns - round(self.values[quantity] * NANOSECONDS)
+
+
+class StoredMemory(NamedTuple):
+    """Memory of the controller, as it was published."""
+
+    position: int
+    """Position in the bag."""
+    commands: int
+    """Number of the tick after which it was stored."""
+    data: bytes
 
 
 class RecordedRun(NamedTuple):
@@ -71,6 +90,8 @@ class RecordedRun(NamedTuple):
     """Configuration of the simulator as YAML; empty without a simulator."""
     notes: list[str]
     """Missing contents, one sentence each."""
+    memories: list[StoredMemory]
+    """In the order of the bag."""
 
 
 class StampIndex:
@@ -114,8 +135,9 @@ def check_tick(values: dict[str, float]) -> None:
             raise ValueError(f"the tick has {name} {values[name]}")
     if not all(abs(values[name]) < LARGEST_AGE for name in ("steering", *NO_AGES)):
         raise ValueError("an age or angle of the tick is out of range")
-    if not 0 <= values.get("resets", 0.0) < LARGEST_COUNT:
-        raise ValueError("the tick has a wrong number of resets")
+    for name in ("resets", "commands"):
+        if not 0 <= values.get(name, 0.0) < LARGEST_COUNT:
+            raise ValueError(f"the tick has a wrong number of {name}")
 
 
 def read_run(
@@ -136,6 +158,7 @@ def read_run(
         ValueError: Required messages are missing; with bag and topic.
     """
     states, paths, texts = StampIndex(), StampIndex(), defaultdict[str, list[str]](list)
+    memories = list[StoredMemory]()
     answers: dict[str, list[Answer]] = {topics.TICK: [], topics.STEERING_COMMAND: []}
     with open_bag(bag) as opened:
         notes = [] if opened.is_complete else [INCOMPLETE, *opened.faults]
@@ -156,6 +179,9 @@ def read_run(
                 message = opened.decode(serialised)
                 if name in (CONTROLLER, SIMULATOR):
                     texts[name].append(message.data)
+                    continue
+                if name == topics.MEMORY:
+                    memories.append(StoredMemory(position, *ros.memory_of(message)))
                     continue
                 stamp_ns = ros.nanoseconds(message.header.stamp)
                 if name == topics.ODOM:
@@ -181,15 +207,24 @@ def read_run(
     if not answers[topics.TICK]:
         notes.append("no controller/tick: read as a drive in lock-step, in which no input is late")
     messages, ticks = answers[topics.TICK] or answers[topics.STEERING_COMMAND], []
+    without_state = without_path = 0
     for position, stamp_ns, values in messages:
-        if (state := states.at(stamp_ns, position)) is not None:
-            now_ns = stamp_ns + round(values["state_age"] * NANOSECONDS)
-            path_ns = now_ns - round(values["path_age"] * NANOSECONDS)
-            ticks.append(RecordedTick(now_ns, state, paths.near(path_ns, position), values))
+        if (state := states.at(stamp_ns, position)) is None:
+            without_state += 1
+            continue
+        now_ns = stamp_ns + round(values["state_age"] * NANOSECONDS)
+        path_ns = now_ns - round(values["path_age"] * NANOSECONDS)
+        path = paths.near(path_ns, position)
+        if answers[topics.TICK] and abs(path.stamp_ns - path_ns) > STAMP_ROUNDING_NS:
+            without_path += 1
+            continue
+        ticks.append(RecordedTick(now_ns, state, path, values, position))
+    if without_state:
+        notes.append(f"{without_state} ticks answer a state that is not in the bag")
+    if without_path:
+        notes.append(f"{without_path} ticks follow a path that is not in the bag")
     if not ticks:
-        raise ValueError(f"{bag}: holds no command that answers a recorded state")
-    if len(ticks) < len(messages):
-        notes.append(f"{len(messages) - len(ticks)} ticks answer a state that is not in the bag")
+        raise ValueError(f"{bag}: holds no command that answers a recorded state and path")
     config, faults = [], list[ValueError]()
     for text in texts[CONTROLLER]:
         try:
@@ -210,4 +245,4 @@ def read_run(
         notes.append(f"{count - len(ticks)} ticks refer to a configuration that is not in the bag")
     if not ticks:
         raise ValueError(f"{bag}: holds no tick whose configuration is in the bag")
-    return RecordedRun(bag, ticks, by_number, version, simulator, notes)
+    return RecordedRun(bag, ticks, by_number, version, simulator, notes, memories)

@@ -16,6 +16,7 @@ from ampc_ros.configuration import (
     check_controller,
 )
 from ampc_ros.mpc.gain_table import read_gain_table
+from ampc_ros.supervision.memory import restore
 from ampc_ros.supervision.received import Received
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.replaying.recorded_run import RecordedTick
@@ -43,7 +44,7 @@ def replay_ticks(
         ticks: Recorded inputs.
         config: Configurations by the number that a tick refers to.
         synchronised: Each tick begins from the recorded angle in force: the answers of another
-            controller to the recorded situations, not their consequences.
+            controller to the recorded situations, not their consequences. Memories are not used.
     """
     supervisor, before = None, 0.0
     for tick in ticks:
@@ -52,7 +53,9 @@ def replay_ticks(
         if supervisor is None or before < after:  # another process: its commands count from 1
             resets = int(tick.values.get("resets", 0))
             supervisor = Supervisor(config[number], number=number, resets=resets)
-        elif number != supervisor.number:
+        if tick.memory and not synchronised:
+            supervisor = restore(tick.memory, config)
+        if number != supervisor.number:
             supervisor.reconfigure(config[number])
         # inputs, as they were accepted
         values = tick.values

@@ -287,10 +287,31 @@ def judge_columns(
         tick=tick,
     )
     metrics = measure(SUMMARY, record)
+    numbers = columns.tick.get("commands", NO_POINTS)[:, 1]
+    if lost := lost_ticks(numbers, notes):  # the controller has not missed them
+        metrics["missed_ticks"] = max((metrics["missed_ticks"] or 0) - lost, 0)
     verdicts = check_thresholds(thresholds, metrics) if thresholds else []
     return JudgedDrive(
         name, columns, context, record, states, error, metrics, verdicts, notes, noise
     )
+
+
+def lost_ticks(numbers: Array, notes: list[str]) -> int:
+    """Return how many ticks the recorder has lost between others; note these and a late begin.
+
+    Args:
+        numbers: (n,) number of each tick since the controller's process began.
+        notes: Receives one sentence each.
+    """
+    if len(numbers) and numbers[0] > 1:
+        notes.append(f"The bag begins at tick {numbers[0]:.0f}: the drive began earlier.")
+    steps = np.diff(numbers)
+    gaps = np.flatnonzero(steps > 1)
+    lost = int((steps[gaps] - 1).sum())
+    if lost:
+        first = f"{lost} ticks are missing in the bag, the first is tick {numbers[gaps[0]] + 1:.0f}"
+        notes.append(f"{first}: the recorder has lost them.")
+    return lost
 
 
 def missing(columns: BagColumns) -> list[str]:

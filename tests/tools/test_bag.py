@@ -135,10 +135,10 @@ def test_debug_topics_are_not_read_where_the_bag_has_ticks(tmp_path: Path) -> No
     assert columns.tick["solve_time"][:, 1].tolist() == [3.0]
 
 
-def test_bags_in_sqlite_are_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_a_damaged_database_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "bag_0.db3").write_bytes(b"SQLite format 3\0" + bytes(100))
     for path in (tmp_path, tmp_path / "bag_0.db3"):
-        with pytest.raises(ValueError, match=r"SQLite; `ros2 bag convert`"):
+        with pytest.raises(ValueError, match=r"^\S*bag_0.db3: .*SQLite database cannot be read"):
             list(read(path))
 
 
@@ -173,7 +173,7 @@ def test_an_empty_last_file_of_a_killed_recorder_hides_no_other(tmp_path: Path) 
     assert read_back(tmp_path) == DRIVE
     assert not is_complete(tmp_path)
     (tmp_path / "bag_0.mcap").write_bytes(b"")
-    with pytest.raises(ValueError, match=r"^\S*: no bag: all files are empty$"):
+    with pytest.raises(ValueError, match=r"^\S*bag_0.mcap: no bag: the file is empty$"):
         list(read(tmp_path))
 
 

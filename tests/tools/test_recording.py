@@ -264,7 +264,7 @@ def ros1_file(file: Path) -> None:
     ("make", "complaint"),
     [
         (lambda file: None, "there is no such file or folder"),
-        (lambda file: file.mkdir(), "no bag: the folder holds no .mcap file"),
+        (lambda file: file.mkdir(), "no bag: the folder holds no .mcap or .db3 file"),
         (lambda file: file.touch(), "no bag: the file is empty"),
         (lambda file: file.write_text("x_m,y_m\n"), "no bag: the file does not begin as MCAP"),
         (ros1_file, "damaged or foreign: its profile is 'ros1', not 'ros2'"),

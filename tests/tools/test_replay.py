@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -14,9 +13,8 @@ import yaml
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.scenario import Scenario, SpeedPlanner, load_scenario
+from ampc_msgs_config.scenarios.scenario import SpeedPlanner
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.configuration import Choices, configuration, from_yaml, to_yaml
 from ampc_ros.supervision.supervisor import Supervisor
@@ -30,22 +28,13 @@ from launch_scripts.replaying.repetition import (
 )
 from sim_vehicle.closed_loop import Simulation
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
-from sim_vehicle.parameters import load_vehicle_file
-from tests.recorded_drives import Bag
+from tests.recorded_drives import VEHICLE, Bag, Disturb, drive_in_real_time, scenario_of
 
-VEHICLE = load_vehicle_file(find("vehicles", "paper"))
 TICK_NS = NANOSECONDS // 10
-STEP_NS = NANOSECONDS // 50
 SCENARIOS = (
     "sc1", "sc1_falcone", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sine", "circle",
     "straight", "iso3888_2",
 )  # fmt: skip
-Disturb = Callable[[Supervisor, int], None]
-
-
-def scenario_of(name: str, duration: float = 6.0) -> Scenario:
-    """Return the beginning of a scenario."""
-    return load_scenario(name, VEHICLE.size)._replace(duration=duration)
 
 
 def drive_in_lock_step(folder: Path, name: str, controller: str = "preview") -> None:
@@ -68,37 +57,6 @@ def drive_in_lock_step(folder: Path, name: str, controller: str = "preview") -> 
             bag.decision(decision, tick)
             speed = planner.target_speed(state)
             simulation.advance(decision.command.steering, speed, TICK_NS)
-
-
-def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[int]:
-    """Record a drive with its own clock, late states and whatever else; gives the rungs."""
-    rng, scenario = np.random.default_rng(seed), scenario_of("sc2", 8.0)
-    supervisor = Supervisor(configuration(Choices(static_path=True)))
-    simulation, planner = Simulation(VEHICLE, scenario), SpeedPlanner(scenario)
-    rungs, steering, commands, number = [], 0.0, 0, 0
-    with Bag(folder) as bag:
-        for step in range(400):
-            now_ns = NANOSECONDS + step * STEP_NS
-            measured = simulation.car.measure(now_ns - int(rng.integers(0, 5_000_000)))
-            if step == 0:
-                bag.path(scenario.points, now_ns)
-                supervisor.take_path(scenario.points, now_ns, now_ns + 3)
-            state = bag.state(measured)
-            if not 200 < step < 240 or step % 20 == 0:  # else it is lost on its way
-                supervisor.take_state(state, now_ns)
-            if rng.random() < 0.5:
-                supervisor.take_steering(simulation.car.steering)
-            disturb(supervisor, step)
-            if supervisor.number != number:
-                number = supervisor.number
-                bag.configuration(supervisor)
-            decision = supervisor.tick(now_ns + 77) if step % 5 == 4 else None
-            if decision:
-                commands, steering = commands + 1, decision.command.steering
-                bag.decision(decision, commands)
-                rungs.append(decision.command.rung)
-            simulation.advance(steering, planner.target_speed(state), STEP_NS)
-    return rungs
 
 
 def drive_with_a_simulator(folder: Path, *, faulty: bool) -> None:
@@ -373,7 +331,7 @@ def test_a_changed_value_is_checked_like_that_of_a_file() -> None:
     ("arguments", "sentence"),
     [
         (["none"], "none: there is no such file or folder"),
-        (["empty"], "no bag: the folder holds no .mcap file"),
+        (["empty"], "no bag: the folder holds no .mcap or .db3 file"),
         (["bag", "--gain-table", "heavy"], "'heavy' is neither a file nor one of the shipped"),
         (["bag", "--set", "mass=1"], "--set mass=1: must be key=value"),
         (["bag", "--close-loop"], "no simulator/configuration, so there is no car to drive"),

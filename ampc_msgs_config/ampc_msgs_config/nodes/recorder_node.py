@@ -63,6 +63,7 @@ LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
     topics.GATE_STATE,
+    topics.MEMORY,
     topics.TF_STATIC,
     *topics.CONFIGURATIONS,
 }

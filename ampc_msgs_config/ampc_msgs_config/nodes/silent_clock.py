@@ -31,7 +31,7 @@ class SilentClock:
         if self.node.get_clock().now().nanoseconds or time.monotonic() < self.limit:
             return ""
         silent = "sends nothing" if self.node.count_publishers(CLOCK) else "has no publisher"
-        text = f"{USE_SIM_TIME_NAME} is set but {CLOCK} {silent}"
+        text = f"{USE_SIM_TIME_NAME} is set but {CLOCK} {silent}: play a bag with --clock 1000"
         if not self.is_logged:
             self.node.get_logger().error(text)
         self.is_logged = True

@@ -27,6 +27,7 @@ TOPIC_TYPES = {
     topics.GATE_STATE: "std_msgs/msg/String",
     topics.GATE_HEARTBEAT: "std_msgs/msg/UInt64",
     topics.TICK: "sensor_msgs/msg/JointState",
+    topics.MEMORY: "std_msgs/msg/UInt8MultiArray",
     topics.MARKERS: "visualization_msgs/msg/MarkerArray",
     topics.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     topics.PARAMETER_EVENTS: "rcl_interfaces/msg/ParameterEvent",

@@ -33,6 +33,7 @@ from ampc_ros.supervision.health import (
     health,
     health_numbers,
 )
+from ampc_ros.supervision.playback import PlaybackAdvice
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 
 REPORT_PAUSE = 0.1
@@ -71,6 +72,7 @@ class ControllerNode(ConfiguredNode):
         """Number of published commands."""
         self.declare_choices()
         self.clock_check = SilentClock(self)
+        self.playback = PlaybackAdvice()
         # In real time, the clock that no other clock can stop.
         clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.on_diagnostics, clock=clock)
@@ -311,6 +313,7 @@ class ControllerNode(ConfiguredNode):
             self.outputs.publish_tick(record, timing, account, steering, self.frame.name)
             now_ns = self.supervisor.newest_ns if self.lock_step else self.now_ns
             self.outputs.publish_plan(self.supervisor, now_ns)
+            self.outputs.publish_memory(self.supervisor, self.commands)
             self.report_change(record)
 
     def report_change(self, record: TickRecord) -> None:
@@ -334,7 +337,10 @@ class ControllerNode(ConfiguredNode):
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
         level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
-        problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified]
+        advice = self.playback.take(self.supervisor, self.now_ns, time.monotonic())
+        if self.playback.is_new(advice):
+            self.get_logger().error(advice)
+        problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified, advice]
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         account = {"commands": self.commands, "missed_ticks": self.policy.missed}
