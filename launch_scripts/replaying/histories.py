@@ -89,11 +89,13 @@ def usable_memory(
 def describe_gaps(history: History) -> list[str]:
     """Return one sentence for each gap, and one for those that are too many to describe."""
     lines = []
-    for gap in history.gaps[:MOST_GAPS]:
+    for number, gap in enumerate(history.gaps[:MOST_GAPS], 1):
         count = gap.last - gap.first + 1
         ticks = f"{count} ticks are missing from tick {gap.first} on" if count > 1 else ""
         ticks = ticks or f"tick {gap.first} is missing"
         exact = f"exact from tick {gap.exact_from} on" if gap.exact_from else NO_MEMORY
+        if not gap.exact_from and number < len(history.gaps):
+            exact = "no tick before the next gap can be repeated exactly"
         lines.append(f"{ticks}: {exact}")
     if len(history.gaps) > MOST_GAPS:
         lines.append(f"{len(history.gaps) - MOST_GAPS} further gaps")

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 from rosbags.rosbag2 import CompressionMode
@@ -111,7 +112,10 @@ def test_every_kind_of_bag_is_reported_replayed_and_recovered(
 ) -> None:
     bag = tmp_path / "bag"
     (COMPLETE | KILLED)[kind](bag, messages)
-    for each in {bag, recovered(bag)}:
+    new = recovered(bag)
+    # Its metadata are those of one half
+    assert (new == bag) == (kind in COMPLETE and kind != "sqlite3, split")
+    for each in {bag, new}:
         capsys.readouterr()
         assert len(judge_bag(each, "bag").columns.tick["commands"]) == TICKS
         assert replay([str(each)]) == 0
@@ -246,3 +250,14 @@ def test_ticks_whose_path_was_not_recorded_are_missing(
     bag = write_mcap(tmp_path / "none", late)
     assert replay([str(bag)]) == 2
     assert "holds no message on /reference_path" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_messages_that_are_lost_at_random_cause_no_difference(
+    seed: int, messages: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(seed)
+    first = {each.topic: each for each in reversed(messages)}
+    kept = [each for each in messages if rng.random() > 0.05 or each == first[each.topic]]
+    assert replay([str(write_mcap(tmp_path / "bag", kept, files=3))]) == 0
+    assert "missing" in capsys.readouterr().out
