@@ -126,7 +126,8 @@ class Gate:
         # Speed: the target, or the falling speed of a stop.
         speed = self._commanded_speed(now)
 
-        # The guard limits each change over the true time since the last one.
+        # The guard limits each change over the true time since the last one; time in which it
+        # has held the angle back does not add up.
         before = self.guard.steering
         guarded = self.guard.step(
             angle,
@@ -135,7 +136,7 @@ class Gate:
             value_of(self.measured, now),
             now - self._moved_at,
         )
-        if guarded.steering != before:
+        if guarded.steering != before or guarded.steering != angle:
             self._moved_at = now
         is_command = command is not None and abs(guarded.steering - angle) <= ROUNDING
         self.output = GateOutput(guarded.steering, guarded.steering_rate, speed, is_command)
