@@ -104,6 +104,13 @@ def test_commands_pass_unchanged_and_target_speeds_with_them() -> None:
         assert (gate.state, gate.reason) == (GateState.DRIVING, "")
 
 
+def test_the_rate_of_a_planned_angle_reaches_it_within_a_period() -> None:
+    gate = driving_gate(angle=0.0, plan=plan_of([0.0, 0.02, 0.04, 0.06]))
+    output_at(gate, LATE)
+    output = output_at(gate, 0.25)
+    assert output == (pytest.approx(0.02), pytest.approx(0.02 / PERIOD), 8.0, False)
+
+
 def test_a_step_of_a_whole_period_passes_at_once_although_the_timer_has_published_since() -> None:
     gate = driving_gate(angle=0.0, speed=3.0)
     step = 1.3 * PERIOD
@@ -225,6 +232,11 @@ def test_a_jump_never_passes_but_a_step_at_the_limit_of_the_rate_does(
 
 @pytest.mark.parametrize("speed", [3.0, 8.0, 20.0])
 @pytest.mark.parametrize("sign", [1, -1])
+def test_a_step_of_exactly_the_reach_is_sound() -> None:
+    gate = driving_gate(angle=0.0, speed=3.0)
+    assert gate.take_command(1.3 * 2 * PERIOD, 0.0, PERIOD) == ""
+
+
 def test_an_angle_far_beyond_the_limits_is_unsafe_and_one_near_them_is_clipped(
     speed: float, sign: int
 ) -> None:
@@ -361,6 +373,16 @@ def test_a_stop_follows_the_plan_by_time_in_its_optimised_part_and_by_distance_b
     assert after.angle == pytest.approx(0.01 * (6.0 + before.speed * 0.1) / 2.0, abs=1e-4)
 
 
+def test_the_distance_of_a_plan_counts_from_its_arrival_between_two_outputs() -> None:
+    gate = driving_gate(plan=plan_of([0.0] * 8))
+    gate.take_odometry(6.0, 0.0)
+    gate.take_plan(plan_of([0.0] * 8), 0.25)
+    assert gate.plan
+    assert gate.plan.odometer == 1.5
+    gate.take_odometry(2.0, 0.5)
+    assert gate.odometer == 3.0
+
+
 def test_a_stop_can_follow_the_optimised_part_by_distance_too() -> None:
     gate = stopping_gate(by_distance=True)
     gate.take_odometry(4.0, 1.0)
@@ -451,6 +473,14 @@ def test_a_reset_needs_inputs_that_are_fresh_sound_and_single() -> None:
     assert gate.reset(3.0 + LATE + BIT) == "steering_command is 0.19 s old"
     gate.take_command(0.3, 0.0, 3.05)
     assert "step of 0.300 rad" in gate.reset(3.05)
+    gate.take_command(0.0, 0.0, 3.6)
+    assert gate.plan
+    gate.plan = gate.plan._replace(at=0.0)
+    gate.command = gate.command and gate.command._replace(at=0.6)
+    gate.target = gate.target and gate.target._replace(at=0.6)
+    assert gate.reset(0.6) == ""
+    gate.state = GateState.STOPPING
+    fresh(gate, 3.0)
     gate.take_command(0.0, 0.0, 3.6)
     assert gate.reset(3.6 + BIT) == "steering_plan is 0.6 s old"
     gate.take_command(0.0, 0.0, 4.1)
