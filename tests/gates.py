@@ -8,7 +8,7 @@ from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.gate.core import Gate, GateOutput
 from ampc_ros.gate.plan import PlanPoint, SteeringPlan, make_plan
-from ampc_ros.gate.settings import GateSettings
+from ampc_ros.gate.settings import GateSettings, GateState
 
 ROAD = load(GuardLimits, find("guards", "road"))
 CHASSIS = load_section(ChassisParameters, find("vehicles", "ordinary"), "chassis")
@@ -58,3 +58,8 @@ def output_at(gate: Gate, now: float) -> GateOutput:
     assert output
     assert all(map(math.isfinite, output[:3]))
     return output
+
+
+def state_of(gate: Gate) -> GateState:
+    """Return the present state, which type checkers would otherwise take for that of before."""
+    return gate.state

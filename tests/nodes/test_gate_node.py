@@ -56,11 +56,19 @@ class Car(Node):
         listen(JointState, topics.GATE_STEERING, self.angles.append, qos.RELIABLE)
         listen(TwistStamped, topics.GATE_SPEED, self.speeds.append, qos.RELIABLE)
         listen(TwistStamped, topics.DRIVE_COMMAND, self.commands.append, qos.RELIABLE)
-        listen(String, topics.GATE_STATE, lambda m: self.states.append(m.data), qos.LATCHED)
-        listen(Bool, topics.STOP_REQUEST, lambda m: self.stops.append(m.data), qos.LATCHED)
+        listen(String, topics.GATE_STATE, self.on_state, qos.LATCHED)
+        listen(Bool, topics.STOP_REQUEST, self.on_stop, qos.LATCHED)
         listen(DiagnosticArray, topics.DIAGNOSTICS, self.on_report, qos.RELIABLE)
         self.resetting = self.create_client(Trigger, "gate/reset")
         add(executor, gate, self)
+
+    def on_state(self, message: String) -> None:
+        """Store a state."""
+        self.states.append(message.data)
+
+    def on_stop(self, message: Bool) -> None:
+        """Store a request to stop."""
+        self.stops.append(message.data)
 
     def on_report(self, message: DiagnosticArray) -> None:
         """Store the reports of the gate."""
@@ -242,7 +250,7 @@ def test_outputs_carry_the_stamps_of_what_they_pass_on_and_the_yaw_rate_of_the_a
         assert {m.header.stamp.nanosec for m in (*car.angles, *car.speeds)} == {0}
 
 
-def test_the_first_output_is_the_measured_angle() -> None:
+def test_the_first_output_is_the_measured_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     with gated_car(**SLOW) as (car, executor):
         inputs = GateInputs()
         steering = inputs.create_publisher(JointState, topics.STEERING_STATE, qos.RELIABLE)
@@ -254,11 +262,9 @@ def test_the_first_output_is_the_measured_angle() -> None:
             return bool(car.angles)
 
         car.wait(lambda: car.gate.count_publishers(topics.STEERING_STATE) > 0)
-        car.gate.is_ready = lambda: (
-            car.gate.gate.measured is not None
-            and bool(  # type: ignore[method-assign]
-                GateNode.is_ready(car.gate)
-            )
+        is_ready = car.gate.is_ready
+        monkeypatch.setattr(
+            car.gate, "is_ready", lambda: car.gate.gate.measured is not None and is_ready()
         )
         car.wait(started)
         assert car.path[0] == pytest.approx(-0.2)
@@ -277,14 +283,17 @@ def test_a_controller_that_offers_neither_deadline_nor_lease_is_heard(offered: A
 def test_a_car_that_requests_deadline_and_lease_notices_the_end_of_the_gate() -> None:
     with gated_car(**SLOW) as (car, _):
         events: set[str] = set()
+
+        def on_liveliness(event: Any) -> None:
+            events.add(f"alive {event.alive_count}")
+
         car.create_subscription(
             TwistStamped,
             topics.DRIVE_COMMAND,
             lambda _: events.add("command"),
             qos.watched_command(DEADLINE, LEASE),
             event_callbacks=SubscriptionEventCallbacks(
-                deadline=lambda _: events.add("deadline"),
-                liveliness=lambda event: events.add(f"alive {event.alive_count}"),
+                deadline=lambda _: events.add("deadline"), liveliness=on_liveliness
             ),
         )
         drive(car, GateInputs())
@@ -295,14 +304,14 @@ def test_a_car_that_requests_deadline_and_lease_notices_the_end_of_the_gate() ->
         car.wait(lambda: {"deadline", "alive 0"} <= events)
 
 
-def test_the_middleware_reports_a_controller_that_hangs() -> None:
+def test_the_middleware_reports_a_controller_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     with gated_car(**SLOW) as (car, executor):
         inputs = GateInputs()
         add(executor, inputs)
         timer = inputs.create_timer(PERIOD, inputs.send)
         car.wait_for_state("driving")
         heard: set[str] = set()
-        car.gate.gate.suspect = heard.add  # type: ignore[method-assign]
+        monkeypatch.setattr(car.gate.gate, "suspect", heard.add)
         timer.cancel()
         car.wait(lambda: len(heard) == 2)
         assert {text.split()[0] for text in heard} == {"deadline", "the"}
