@@ -445,7 +445,7 @@ def test_without_odometry_the_car_has_stopped_when_it_should_have() -> None:
 
 
 def fresh(gate: Gate, now: float, angle: float = 0.0) -> Gate:
-    """Give a gate all inputs anew."""
+    """Send a gate all inputs anew."""
     gate.take_command(angle, 0.0, now)
     gate.take_speed(8.0, now)
     gate.take_plan(plan_of([angle] * 8), now)

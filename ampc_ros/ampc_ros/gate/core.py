@@ -21,7 +21,7 @@ MEASURED_TIMEOUT = 0.5
 LIMIT_SHARE = 1.25
 """The controller may know another speed: its angle may reach this share of the gate's limit before
 it counts as unsafe. What is published is clipped at the limit itself."""
-ROUNDING = 1e-9
+CONVERSION_ERROR = 1e-9
 """Differences below this come from ratio and offset of the steering topics [rad]."""
 CREEPING = 0.2
 """A slower car stands [m/s]."""
@@ -138,7 +138,7 @@ class Gate:
         )
         if guarded.steering != before or guarded.steering != angle:
             self._moved_at = now
-        is_command = command is not None and abs(guarded.steering - angle) <= ROUNDING
+        is_command = command is not None and abs(guarded.steering - angle) <= CONVERSION_ERROR
         self.output = GateOutput(guarded.steering, guarded.steering_rate, speed, is_command)
         return self.output
 
@@ -167,7 +167,7 @@ class Gate:
         if last:
             # A sound controller moves at the limit of the rate, and may be one period late.
             time = max(now - last.at, 0.0) + self.settings.period
-            reach = min(bound.rate, bound.jerk) * time + ROUNDING
+            reach = min(bound.rate, bound.jerk) * time + CONVERSION_ERROR
             if abs(angle - last.angle) > reach:
                 step = f"{angle - last.angle:.3f} rad from the last one"
                 return f"steering_command: step of {step} must lie within {reach:.3f} rad"
