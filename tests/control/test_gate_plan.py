@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ampc_ros.gate.plan import MOST_POINTS, PlanPoint, SteeringPlan, make_plan, planned_angle
+from ampc_ros.gate.plan import MOST_PLAN_POINTS, PlanPoint, SteeringPlan, make_plan, planned_angle
 from tests.gates import plan_of
 
 POINTS = [
@@ -93,7 +93,9 @@ def test_a_plan_has_2_to_2000_points(count: int, is_valid: bool) -> None:
     if is_valid:
         assert len(make_plan(points).times) == count
     else:
-        with pytest.raises(ValueError, match=f"{count} points must have 2 to {MOST_POINTS} points"):
+        with pytest.raises(
+            ValueError, match=f"{count} points must have 2 to {MOST_PLAN_POINTS} points"
+        ):
             make_plan(points)
 
 

@@ -14,7 +14,7 @@ from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
 from ampc_ros.gate.core import GateOutput
-from ampc_ros.gate.plan import MOST_POINTS, PlanPoint, SteeringPlan, make_plan
+from ampc_ros.gate.plan import MOST_PLAN_POINTS, PlanPoint, SteeringPlan, make_plan
 from ampc_ros.gate.settings import STOPS, GateState
 
 DEADLINE, LEASE = 0.2, 0.3
@@ -37,8 +37,8 @@ def steering_plan(message: JointTrajectory, steering: SteeringParameters) -> Ste
     if list(message.joint_names) != PLAN_JOINTS:
         names = str(list(message.joint_names[:3]))[:60]
         raise ValueError(f"steering_plan: joint_names = {names} must be {PLAN_JOINTS}")
-    if len(message.points) > MOST_POINTS:
-        text = f"must have at most {MOST_POINTS}"
+    if len(message.points) > MOST_PLAN_POINTS:
+        text = f"must have at most {MOST_PLAN_POINTS}"
         raise ValueError(f"steering_plan: {len(message.points)} points {text}")
     points = []
     for i, point in enumerate(message.points):
