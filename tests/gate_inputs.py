@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ampc_msgs_config import topics
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config import ros, topics
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -30,7 +30,7 @@ def plan_message(
     angles: Sequence[float],
     speed: float = SPEED,
     dt: float = 0.1,
-    steering: SteeringParameters = commands.ROAD_WHEEL,
+    steering: SteeringParameters = ros.ROAD_WHEEL,
 ) -> JointTrajectory:
     """Return a plan at constant speed, whose first half is the optimised part."""
     message = JointTrajectory(joint_names=[topics.STEERING_JOINT, topics.DISTANCE_JOINT])
@@ -39,6 +39,7 @@ def plan_message(
         point.positions = [steering.position(angle), i * dt * speed]
         point.velocities = [0.0, speed]
         point.accelerations = [0.0, 0.0 if 2 * i < len(angles) else -2.5]
+        point.effort = [0.0, 0.0]  # rosbags misreads an empty list inside a list
         time_ns = round(i * dt * NANOSECONDS)
         point.time_from_start.sec, point.time_from_start.nanosec = divmod(time_ns, NANOSECONDS)
         message.points.append(point)
@@ -72,8 +73,8 @@ class GateInputs(Node):
         self.odom.publish(odometry)
         self.plans.publish(self.plan)
         stamp_ns = self.rounds * NANOSECONDS
-        self.speeds.publish(commands.speed_message(commands.Stamped(stamp_ns, SPEED)))
-        self.commands.publish(commands.joint_message(stamp_ns, self.angle, 0.01))
+        self.speeds.publish(ros.speed_message(ros.Stamped(stamp_ns, SPEED)))
+        self.commands.publish(ros.joint_message(stamp_ns, self.angle, 0.01))
 
 
 def main() -> None:

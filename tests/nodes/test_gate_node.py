@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
-from ampc_msgs_config import topics
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config import ros, topics
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
 from ampc_ros.gate.settings import GateState
@@ -224,7 +224,7 @@ def test_nothing_is_published_before_the_inputs_are_complete() -> None:
         add(executor, inputs)
         car.wait(lambda: car.gate.outputs.is_connected and car.gate.rounds > 5)
         inputs.create_timer(
-            PERIOD / 4, lambda: inputs.commands.publish(commands.joint_message(1, 0.01, 0.0))
+            PERIOD / 4, lambda: inputs.commands.publish(ros.joint_message(1, 0.01, 0.0))
         )
         car.wait_for_report("waiting: no target_speed yet")
         assert not car.angles
@@ -257,7 +257,7 @@ def test_the_first_output_is_the_measured_angle(monkeypatch: pytest.MonkeyPatch)
         add(executor, inputs)
 
         def started() -> bool:
-            steering.publish(commands.joint_message(1, -0.2, 0.0))
+            steering.publish(ros.joint_message(1, -0.2, 0.0))
             inputs.send()
             return bool(car.angles)
 
@@ -349,7 +349,7 @@ def test_a_wrong_plan_is_rejected_with_its_cause(text: str) -> None:
     message = plan_message([0.01 * i for i in range(40)])
     DAMAGES[text](message)
     with pytest.raises(ValueError, match=rf"steering_plan: .*{re.escape(text)}"):
-        steering_plan(message, commands.ROAD_WHEEL)
+        steering_plan(message, ros.ROAD_WHEEL)
 
 
 def test_a_wrong_plan_is_counted_and_the_last_one_kept() -> None:
@@ -438,12 +438,12 @@ class LockStepInputs(GateInputs):
         """Publish the state of a number, and the answers to it."""
         stamp_ns = NANOSECONDS + number * NANOSECONDS // 10
         odometry = Odometry()
-        odometry.header.stamp = commands.time_message(stamp_ns)
+        odometry.header.stamp = ros.time_message(stamp_ns)
         odometry.twist.twist.linear.x = speed
         if odometry_first:
             self.odom.publish(odometry)
-        self.speeds.publish(commands.speed_message(commands.Stamped(stamp_ns, speed)))
-        self.commands.publish(commands.joint_message(stamp_ns, angle, 0.3, RATIO))
+        self.speeds.publish(ros.speed_message(ros.Stamped(stamp_ns, speed)))
+        self.commands.publish(ros.joint_message(stamp_ns, angle, 0.3, RATIO))
         if not odometry_first:
             self.odom.publish(odometry)
 
@@ -484,7 +484,7 @@ def test_in_lock_step_each_command_passes_unchanged_with_its_stamp() -> None:
         assert {tuple(message.velocity) for message in car.angles} == {(15.0 * 0.3,)}
         expected = [NANOSECONDS + i * NANOSECONDS // 10 for i in range(40)]
         for messages in (car.angles, car.speeds, car.commands):
-            assert [commands.nanoseconds(m.header.stamp) for m in messages] == expected
+            assert [ros.nanoseconds(m.header.stamp) for m in messages] == expected
         assert [m.twist.linear.x for m in car.speeds] == [9.0 + 0.1 * i for i in range(40)]
         assert car.states == ["waiting", "driving"]
         assert car.reset().message == "in lock-step the gate never stops the car"

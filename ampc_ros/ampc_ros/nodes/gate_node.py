@@ -20,9 +20,9 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from ampc_msgs_config import topics
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
@@ -65,7 +65,7 @@ class GateNode(BaseNode):
         self.load()
         self.outputs = GateOutputs(self, self.steering, self.chassis.wheelbase)
         self.command: JointState | None = None
-        self.target: commands.Stamped | None = None
+        self.target: ros.Stamped | None = None
         self.rounds = self.failures = 0
         self.passed: GateOutput | None = None
         self.speeds: dict[int, float] = {}
@@ -140,7 +140,7 @@ class GateNode(BaseNode):
         def on_data(data: bytes) -> None:
             if len(data) > most:
                 raise ValueError(f"{topic}: {len(data)} bytes must be at most {most}")
-            callback(commands.decode(data, kind))
+            callback(ros.decode(data, kind))
 
         on_input = partial(self.survive, on_data)
         self.inputs.add(kind, topic, on_input, *profiles, raw=True, **how)
@@ -173,7 +173,7 @@ class GateNode(BaseNode):
             ValueError: The command is unsafe.
         """
         try:
-            angle = commands.steering_angle(message, self.steering).value
+            angle = ros.steering_angle(message, self.steering).value
         except ValueError as error:
             self.gate.suspect(str(error))
             raise
@@ -185,7 +185,7 @@ class GateNode(BaseNode):
 
     def on_speed(self, message: TwistStamped) -> None:
         """Use a target speed with the next output."""
-        target = commands.target_speed(message)
+        target = ros.target_speed(message)
         self.gate.take_speed(target.value, time.monotonic())
         self.target = target
 
@@ -199,7 +199,7 @@ class GateNode(BaseNode):
 
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
-        angle = commands.steering_angle(message, self.steering).value
+        angle = ros.steering_angle(message, self.steering).value
         self.gate.take_measured(angle, time.monotonic())
 
     def on_deadline(self, _: Any) -> None:
@@ -242,7 +242,7 @@ class GateNode(BaseNode):
         """Publish an output, with the stamps of what it passes on."""
         command = self.command if output.is_command else None
         now_ns = self.now_ns
-        stamp_ns = commands.nanoseconds(command.header.stamp) if command else now_ns
+        stamp_ns = ros.nanoseconds(command.header.stamp) if command else now_ns
         target = self.target if self.gate.state in DRIVES else None
         self.outputs.publish_drive(output, stamp_ns)
         self.outputs.publish_steering(output, stamp_ns, command)
@@ -306,7 +306,7 @@ class GateNode(BaseNode):
 
     def on_odometry_in_lock_step(self, message: Odometry) -> None:
         """Store the speed of a state, and pass a command on that has waited for it."""
-        stamp_ns = commands.nanoseconds(message.header.stamp)
+        stamp_ns = ros.nanoseconds(message.header.stamp)
         self.speeds[stamp_ns] = message.twist.twist.linear.x
         while len(self.speeds) > SPEEDS_KEPT:
             del self.speeds[next(iter(self.speeds))]
@@ -320,18 +320,18 @@ class GateNode(BaseNode):
         """
         if intruders := self.second_publishers():
             raise ValueError(intruders)
-        commands.steering_angle(message, self.steering)
+        ros.steering_angle(message, self.steering)
         self.command = message
         self.pass_on()
 
     def pass_on(self) -> None:
         """Publish the newest command once, after the state that it answers."""
         command = self.command
-        stamp_ns = commands.nanoseconds(command.header.stamp) if command else -1
+        stamp_ns = ros.nanoseconds(command.header.stamp) if command else -1
         if command is None or stamp_ns not in self.speeds or not self.is_ready():
             return
         self.command = None
-        angle = commands.steering_angle(command, self.steering).value
+        angle = ros.steering_angle(command, self.steering).value
         rate = angle_rate(command, self.steering)
         self.passed = self.passing.step(stamp_ns, angle, rate, self.speeds[stamp_ns])
         is_command = self.passed.is_command
@@ -342,7 +342,7 @@ class GateNode(BaseNode):
 
     def on_speed_in_lock_step(self, message: TwistStamped) -> None:
         """Pass a target speed on, unchanged."""
-        target = commands.target_speed(message)
+        target = ros.target_speed(message)
         if self.is_ready():
             self.target = target
             self.outputs.speeds.publish(message)

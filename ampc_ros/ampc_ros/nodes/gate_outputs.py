@@ -8,8 +8,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String, UInt64
 from trajectory_msgs.msg import JointTrajectory
 
-from ampc_msgs_config import topics
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config import ros, topics
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
@@ -112,7 +112,7 @@ class GateOutputs:
             stamp_ns: Stamp [ns].
             command: Command whose angle it is: its numbers are passed on bit for bit.
         """
-        message = commands.joint_message(stamp_ns, output.angle, output.rate, self.steering)
+        message = ros.joint_message(stamp_ns, output.angle, output.rate, self.steering)
         if command:
             message.position = command.position
             if output.rate == angle_rate(command, self.steering) and len(command.velocity) == 1:
@@ -121,10 +121,10 @@ class GateOutputs:
 
     def publish_speed(self, speed: float, stamp_ns: int) -> None:
         """Publish the commanded speed [m/s]."""
-        self.speeds.publish(commands.speed_message(commands.Stamped(stamp_ns, speed)))
+        self.speeds.publish(ros.speed_message(ros.Stamped(stamp_ns, speed)))
 
     def publish_drive(self, output: GateOutput, stamp_ns: int) -> None:
         """Publish the complete command: speed and the yaw rate of the kinematic model."""
-        message = commands.speed_message(commands.Stamped(stamp_ns, output.speed))
+        message = ros.speed_message(ros.Stamped(stamp_ns, output.speed))
         message.twist.angular.z = output.speed * output.curvature(self.wheelbase)
         self.drive.publish(message)
