@@ -270,6 +270,14 @@ def test_the_first_output_is_the_measured_angle(monkeypatch: pytest.MonkeyPatch)
         assert car.path[0] == pytest.approx(-0.2)
 
 
+def test_a_gate_that_ends_while_driving_requests_a_stop() -> None:
+    with gated_car(**SLOW) as (car, _):
+        drive(car, GateInputs())
+        assert not car.stops
+        car.gate.publish_final()
+        car.wait(lambda: car.stops == [True])
+
+
 # QoS
 
 

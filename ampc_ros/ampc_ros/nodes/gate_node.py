@@ -16,7 +16,7 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
-from std_msgs.msg import UInt64
+from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -247,6 +247,11 @@ class GateNode(BaseNode):
         self.outputs.publish_drive(output, stamp_ns)
         self.outputs.publish_steering(output, stamp_ns, command)
         self.outputs.publish_speed(output.speed, target.stamp_ns if target else now_ns)
+
+    def publish_final(self) -> None:
+        """Request a stop: nothing passes commands on any more."""
+        if self.gate.state in DRIVES and not self.lock_step:
+            self.outputs.stops.publish(Bool(data=True))
 
     def report_change(self, before: GateState) -> None:
         """Publish a new state, with a request to stop where it is one."""
