@@ -37,6 +37,7 @@ from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.gate.core import Gate, GateOutput
 from ampc_ros.gate.lock_step import LockStepGate
 from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
+from ampc_ros.nodes.gate_lock_step import LockStepAnswers
 from ampc_ros.nodes.gate_outputs import GateOutputs, angle_rate, steering_plan
 
 GUARDED = (topics.STEERING_COMMAND, topics.TARGET_SPEED, topics.STEERING_PLAN)
@@ -49,8 +50,6 @@ UNSAFE = 1
 """Exit code in lock-step, where nothing can stop the car."""
 CONNECT_PERIOD = 0.05
 """Lock-step: wall time between two looks for publishers of the inputs [s]."""
-SPEEDS_KEPT = 20
-"""Number of odometry messages among which lock-step looks for that of a command."""
 LEVELS = dict.fromkeys(GateState, WARN) | {GateState.DRIVING: OK} | dict.fromkeys(STOPS, ERROR)
 
 
@@ -67,9 +66,6 @@ class GateNode(BaseNode):
         self.command: JointState | None = None
         self.target: ros.Stamped | None = None
         self.rounds = self.failures = 0
-        self.passed: GateOutput | None = None
-        self.speeds: dict[int, float] = {}
-        """Lock-step: measured speed by stamp [ns]."""
         self.subscribe()
         self.create_service(Trigger, "~/reset", self.on_reset)
         self.outputs.publish_state(self.gate.state)
@@ -109,16 +105,16 @@ class GateNode(BaseNode):
         limits = load(GuardLimits, guard)
         chosen = GateSettings(period, max(timeout, 0.0), deceleration, by_distance)
         self.gate = Gate(limits, self.chassis, chosen)
-        self.passing = LockStepGate(limits, self.chassis, period)
+        self.answers = LockStepAnswers(self, LockStepGate(limits, self.chassis, period))
 
     def subscribe(self) -> None:
         """Subscribe to all inputs; odometry first, so that it is received before a command."""
         self.inputs = Inputs(self)
         if self.lock_step:
-            self.listen(Odometry, topics.ODOM, self.on_odometry_in_lock_step, qos.RELIABLE)
-            on_command, on_speed = self.on_command_in_lock_step, self.on_speed_in_lock_step
-            self.listen(JointState, topics.STEERING_COMMAND, on_command, qos.RELIABLE)
-            self.listen(TwistStamped, topics.TARGET_SPEED, on_speed, qos.RELIABLE)
+            answers = self.answers
+            self.listen(Odometry, topics.ODOM, answers.on_odometry, qos.RELIABLE)
+            self.listen(JointState, topics.STEERING_COMMAND, answers.on_command, qos.RELIABLE)
+            self.listen(TwistStamped, topics.TARGET_SPEED, answers.on_speed, qos.RELIABLE)
             return
         self.listen(Odometry, topics.ODOM, self.on_odometry, qos.NEWEST)
         self.listen(JointState, topics.STEERING_STATE, self.on_steering, qos.NEWEST)
@@ -308,56 +304,6 @@ class GateNode(BaseNode):
         values |= {f"{name}_age": now - each.at for name, each in ages.items() if each}
         values |= {f"clipped_{name}": float(count) for name, count in gate.guard.count.items()}
         self.report(self.now_ns, sentence, values, level)
-
-    def on_odometry_in_lock_step(self, message: Odometry) -> None:
-        """Store the speed of a state, and pass a command on that has waited for it."""
-        stamp_ns = ros.nanoseconds(message.header.stamp)
-        self.speeds[stamp_ns] = message.twist.twist.linear.x
-        while len(self.speeds) > SPEEDS_KEPT:
-            del self.speeds[next(iter(self.speeds))]
-        self.pass_on()
-
-    def on_command_in_lock_step(self, message: JointState) -> None:
-        """Pass a command on.
-
-        Raises:
-            ValueError: The command is unsafe, or there is a second publisher.
-        """
-        if intruders := self.second_publishers():
-            raise ValueError(intruders)
-        ros.steering_angle(message, self.steering)
-        self.command = message
-        self.pass_on()
-
-    def pass_on(self) -> None:
-        """Publish the newest command once, after the state that it answers."""
-        command = self.command
-        stamp_ns = ros.nanoseconds(command.header.stamp) if command else -1
-        if command is None or stamp_ns not in self.speeds or not self.is_ready():
-            return
-        self.command = None
-        angle = ros.steering_angle(command, self.steering).value
-        rate = angle_rate(command, self.steering)
-        self.passed = self.passing.step(stamp_ns, angle, rate, self.speeds[stamp_ns])
-        is_command = self.passed.is_command
-        self.outputs.publish_steering(self.passed, stamp_ns, command if is_command else None)
-        self.gate.state = GateState.DRIVING
-        self.outputs.publish_state(self.gate.state)
-        self.pass_pair()
-
-    def on_speed_in_lock_step(self, message: TwistStamped) -> None:
-        """Pass a target speed on, unchanged."""
-        target = ros.target_speed(message)
-        if self.is_ready():
-            self.target = target
-            self.outputs.speeds.publish(message)
-            self.pass_pair()
-
-    def pass_pair(self) -> None:
-        """Publish the complete command once both parts answer the same state."""
-        if self.passed and self.target and self.target.stamp_ns == self.passing.stamp_ns:
-            output = self.passed._replace(speed=self.target.value)
-            self.outputs.publish_drive(output, self.target.stamp_ns)
 
 
 def main() -> int:
