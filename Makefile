@@ -48,7 +48,7 @@ faults: dev  ## inject every kind of fault on every road, into runs/faults
 leaderboard: dev  ## drive our controllers and published ones under equal conditions, into runs/leaderboard
 	@$(VENV_PYTHON) -m tests.workshop.leaderboard.leaderboard $(LEADERBOARD)
 
-fuzz: dev  ## send a million hostile inputs each to node core and guard (2 min)
+fuzz: dev  ## send a million hostile inputs each to node core, guard and gate (3 min)
 	@$(VENV_PYTHON) -m tests.workshop.fuzz.fuzz
 
 # The short setting is that of continuous integration; FULL=1 takes about 10 minutes more.

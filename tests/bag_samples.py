@@ -12,7 +12,7 @@ from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
@@ -23,6 +23,7 @@ from ampc_msgs_config.recording.message_types import message_class, type_name_of
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
 from ampc_msgs_config.types import NANOSECONDS, Diagnosis, Plan, VehicleState
 from launch_scripts.bags.bag import open_bag
+from tests.gate_inputs import plan_message
 
 TICK_NS = NANOSECONDS // 10
 
@@ -67,9 +68,9 @@ def sample(name: str, stamp_ns: int) -> Any:
         return ros.odometry_message(state)
     if name in (ros.REFERENCE_PATH, ros.PREDICTED_PATH):
         return ros.path_message(np.outer(np.arange(300), (0.1, -0.2)), stamp_ns)
-    if name == ros.TARGET_SPEED:
+    if name in (ros.TARGET_SPEED, ros.DRIVE_COMMAND, ros.GATE_SPEED):
         return ros.speed_message(ros.Stamped(stamp_ns, 8.333))
-    if name == ros.STEERING_COMMAND:
+    if name in (ros.STEERING_COMMAND, ros.GATE_STEERING):
         command = ros.steering_message(Plan(stamp_ns, 0.1 + 1e-17, -0.5, Diagnosis()))
         command.effort = [0.0]
         return command
@@ -93,6 +94,12 @@ def sample(name: str, stamp_ns: int) -> Any:
         return tick
     if name == ros.MEMORY:
         return ros.memory_message(b"\x00\xff{}", stamp_ns // TICK_NS)
+    if name == ros.STEERING_PLAN:
+        return plan_message([0.1, -0.2, 5e-324])
+    if name == ros.GATE_STATE:
+        return String(data="stopping")
+    if name == ros.GATE_HEARTBEAT:
+        return UInt64(data=2**64 - 1)
     if name == ros.STOP_REQUEST:
         return Bool(data=True)
     if name in ros.CONFIGURATIONS:

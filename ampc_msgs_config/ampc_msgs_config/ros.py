@@ -1,27 +1,28 @@
-"""Conversion between ROS messages and the types of the project; names and QoS of the topics."""
+"""Conversion between ROS messages and the types of the project; names and QoS of the topics.
+
+Only the functions that convert headings import compiled code, so that the gate does without it.
+"""
 
 import math
 from array import array
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
 
-from ampc_msgs_config.frames import (
-    quaternion_from_yaw,
-    yaw_from_quaternion,
-)
-from ampc_msgs_config.nodes.commands import *  # noqa: F403 (public names of this module, too)
-from ampc_msgs_config.nodes.commands import ROAD_WHEEL, joint_message, nanoseconds, time_message
 from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.quaternions import tilt_from_quaternion
 from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
-from ampc_msgs_config.topics import BASE_LINK, MAP, TICK_QUANTITIES
+from ampc_msgs_config.topics import BASE_LINK, MAP, STEERING_JOINT, TICK_QUANTITIES
 from ampc_msgs_config.types import (
+    NANOSECONDS,
     QUATERNION_LENGTH,
     Array,
     Command,
@@ -40,10 +41,48 @@ ODOM_FIELDS = (
 """Message fields of the numbers of a VehicleState after its stamp."""
 MAX_TILT = math.radians(30.0)
 """Greatest accepted roll and pitch [rad]."""
+MAX_STEERING = math.pi / 2
+"""Greatest accepted road-wheel angle [rad]."""
+ROAD_WHEEL = SteeringParameters(max_angle=1.5)
+"""Steering whose topics carry road-wheel angles."""
+MAX_TARGET_SPEED = 100.0
+"""Greatest accepted target speed [m/s]."""
+
+
+class Stamped(NamedTuple):
+    """Number with its time."""
+
+    stamp_ns: int
+    value: float
+
+
+def decode(data: bytes, message_class: Any) -> Any:
+    """Return a message from its CDR bytes.
+
+    Raises:
+        ValueError: The bytes do not match the type.
+    """
+    try:
+        return deserialize_message(data, message_class)
+    except Exception as error:  # the middleware raises several types
+        name = message_class.__name__
+        raise ValueError(f"{len(data)} bytes cannot be decoded as {name}") from error
+
+
+def time_message(stamp_ns: int) -> Time:
+    """Return nanoseconds as a ROS time."""
+    return Time(sec=stamp_ns // NANOSECONDS, nanosec=stamp_ns % NANOSECONDS)
+
+
+def nanoseconds(stamp: Time) -> int:
+    """Return a ROS time as nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def odometry_message(state: VehicleState, frame_id: str = MAP) -> Odometry:
     """Pack a state: pose in a fixed frame, twist in `base_link`."""
+    from ampc_msgs_config.frames import quaternion_from_yaw
+
     message = Odometry()
     message.header.stamp = time_message(state.stamp_ns)
     message.header.frame_id, message.child_frame_id = frame_id, BASE_LINK
@@ -62,6 +101,8 @@ def vehicle_state(message: Odometry) -> VehicleState:
         ValueError: No frame, a number that is not finite, a quaternion far from unit length, or a
             car that lies on its side; with the field's name, its value and the bound.
     """
+    from ampc_msgs_config.frames import yaw_from_quaternion
+
     require_frame("odom", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
     low, high = QUATERNION_LENGTH
@@ -100,6 +141,8 @@ def require_frame(topic: str, frame_id: str) -> None:
 
 def path_message(points: Array, stamp_ns: int, frame_id: str = MAP) -> Path:
     """Pack points (n, 2) in a fixed frame [m], each oriented towards the next."""
+    from ampc_msgs_config.frames import quaternion_from_yaw
+
     message = Path()
     message.header.frame_id, message.header.stamp = frame_id, time_message(stamp_ns)
     steps = np.diff(points, axis=0, append=2 * points[-1:] - points[-2:-1])
@@ -138,11 +181,71 @@ def path_points(message: Path) -> list[tuple[float, float]]:
     return points
 
 
+def speed_message(speed: Stamped) -> TwistStamped:
+    """Pack a target speed [m/s]."""
+    message = TwistStamped()
+    message.header.stamp, message.header.frame_id = time_message(speed.stamp_ns), BASE_LINK
+    message.twist.linear.x = speed.value
+    return message
+
+
+def target_speed(message: TwistStamped) -> Stamped:
+    """Unpack a target speed [m/s].
+
+    Raises:
+        ValueError: The speed is not in [0, MAX_TARGET_SPEED].
+    """
+    speed = message.twist.linear.x
+    if not 0.0 <= speed <= MAX_TARGET_SPEED:
+        raise ValueError(f"target_speed: {speed:g} must lie in [0, {MAX_TARGET_SPEED:g}] m/s")
+    return Stamped(nanoseconds(message.header.stamp), speed)
+
+
 def steering_message(
     command: Plan | Command, steering: SteeringParameters = ROAD_WHEEL
 ) -> JointState:
     """Pack a command of a road-wheel angle [rad] and its rate [rad/s]; see `joint_message`."""
     return joint_message(command.stamp_ns, command.steering, command.steering_rate, steering)
+
+
+def joint_message(
+    stamp_ns: int, angle: float, rate: float, steering: SteeringParameters = ROAD_WHEEL
+) -> JointState:
+    """Pack a road-wheel angle [rad] and its rate [rad/s] as position and velocity.
+
+    Args:
+        stamp_ns: Stamp [ns].
+        angle: Road-wheel angle [rad].
+        rate: Rate of the road-wheel angle [rad/s].
+        steering: Ratio and offset of the topic.
+    """
+    message = JointState()
+    message.header.stamp, message.header.frame_id = time_message(stamp_ns), BASE_LINK
+    message.name, message.position = [STEERING_JOINT], [steering.position(angle)]
+    message.velocity = [steering.ratio * rate]
+    return message
+
+
+def steering_angle(message: JointState, steering: SteeringParameters = ROAD_WHEEL) -> Stamped:
+    """Unpack a road-wheel angle [rad].
+
+    Args:
+        message: Message of `steering_command` or `steering_state`.
+        steering: Ratio and offset of the topic.
+
+    Raises:
+        ValueError: The message does not hold exactly one position, or its road-wheel angle is not
+            in [-MAX_STEERING, MAX_STEERING].
+    """
+    positions = list(message.position)
+    if len(positions) != 1:
+        raise ValueError(f"steering: position = {positions} must hold one angle")
+    position, angle = positions[0], steering.angle(positions[0])
+    if not abs(angle) <= MAX_STEERING:
+        low, high = sorted(map(steering.position, (-MAX_STEERING, MAX_STEERING)))
+        bounds = f"[{low:.4g}, {high:.4g}] rad"
+        raise ValueError(f"steering: position[0] = {position:g} must lie in {bounds}")
+    return Stamped(nanoseconds(message.header.stamp), angle)
 
 
 def tick_message(stamp_ns: int, values: Sequence[float]) -> JointState:

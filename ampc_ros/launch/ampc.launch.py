@@ -1,4 +1,4 @@
-"""Start simulator, planner, controller and markers, and a recorder on request.
+"""Start simulator, planner, controller, gate and markers, and a recorder on request.
 
 ``ros2 launch ampc_ros ampc.launch.py scenario:=sc2 output:=runs/sc2`` drives a scenario in
 lock-step. On a real car, use ``simulate:=false lock_step:=false``. Topics stay on this machine
@@ -17,12 +17,14 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import (
     EnvironmentVariable,
+    IfElseSubstitution,
     LaunchConfiguration,
     NotEqualsSubstitution,
 )
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from ampc_msgs_config import topics
 from ampc_msgs_config.config import shipped
 
 
@@ -59,6 +61,7 @@ ARGUMENTS = {
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
     "namespace": ("", "namespace of nodes and topics"),
     "simulate": ("true", "start the simulator; false for a real car"),
+    "gate": ("true", "start the gate, the last station before the car; false: without it"),
     "output": ("", "new folder for a recording; empty: none"),
 }
 FLOATS = (
@@ -74,6 +77,7 @@ TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkey
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
+GATE = ("vehicle", "guard", "settings")
 CONTROL = (
     "vehicle",
     "controller",
@@ -100,10 +104,19 @@ def generate_launch_description() -> LaunchDescription:
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
     }
     record = parameters("output") | {"use_sim_time": parameter("lock_step")}
+    gated = LaunchConfiguration("gate")
+    renamed = [
+        (topic, IfElseSubstitution(gated, new, topic))
+        for topic, new in (
+            (topics.STEERING_COMMAND, topics.GATE_STEERING),
+            (topics.TARGET_SPEED, topics.GATE_SPEED),
+        )
+    ]
     nodes = [
-        node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated),
+        node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated, renamed),
         node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
         node("ampc_ros", "controller", mode | parameters(*CONTROL)),
+        node("ampc_ros", "gate", mode | parameters(*GATE), IfCondition(gated)),
         node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]
     together = [
@@ -136,6 +149,7 @@ def node(
     executable: str,
     values: dict[str, ParameterValue],
     condition: IfCondition | None = None,
+    renamed: list[tuple[str, IfElseSubstitution]] | None = None,
 ) -> Node:
     """Return a node in the chosen namespace with its log on the screen."""
     return Node(
@@ -144,5 +158,6 @@ def node(
         namespace=LaunchConfiguration("namespace"),
         parameters=[values],
         condition=condition,
+        remappings=renamed,
         output="screen",
     )

@@ -11,6 +11,7 @@ import pytest
 from ampc_msgs_config.nodes.marker_node import MarkerNode
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
+from ampc_ros.nodes.gate_node import GateNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from sim_vehicle.nodes.simulator_node import SimulatorNode
 from tests.ros_nodes import add, ros_context
@@ -18,6 +19,7 @@ from tests.ros_nodes import add, ros_context
 FILE = Path(__file__).resolve().parents[2] / "ampc_ros" / "launch" / "ampc.launch.py"
 NODES: dict[str, Any] = {
     "controller": ControllerNode,
+    "gate": GateNode,
     "markers": MarkerNode,
     "planner": PlannerNode,
     "simulator": SimulatorNode,
@@ -64,7 +66,7 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
 ) -> None:
     given = started(launch_file)
     used = set().union(*given.values()) - {"use_sim_time", "wait_for_recorder"}
-    assert used | {"namespace", "simulate"} == launch_file.ARGUMENTS.keys()
+    assert used | {"namespace", "simulate", "gate"} == launch_file.ARGUMENTS.keys()
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
@@ -92,3 +94,19 @@ def test_topics_stay_on_this_machine_unless_the_shell_says_otherwise(launch_file
     launch_file.EnvironmentVariable.assert_called_once_with(name, default_value="LOCALHOST")
     value = launch_file.EnvironmentVariable.return_value
     launch_file.SetEnvironmentVariable.assert_called_once_with(name, value)
+
+
+def test_with_the_gate_the_simulated_car_receives_the_commands_of_the_gate(
+    launch_file: Any,
+) -> None:
+    gate, choose = launch_file.LaunchConfiguration.return_value, launch_file.IfElseSubstitution
+    choices = [call.args for call in choose.call_args_list]
+    assert choices == [
+        (gate, f"gate/{name}", name) for name in ("steering_command", "target_speed")
+    ]
+    renamed = {
+        call.kwargs["executable"]: call.kwargs["remappings"]
+        for call in launch_file.Node.call_args_list
+    }
+    assert [topic for topic, _ in renamed.pop("simulator")] == ["steering_command", "target_speed"]
+    assert set(renamed.values()) == {None}

@@ -15,6 +15,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.marker_node import MarkerNode
 from ampc_msgs_config.nodes.recorder_node import Recorder
 from ampc_ros.nodes.controller_node import ControllerNode
+from ampc_ros.nodes.gate_node import GateNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from sim_vehicle.nodes.simulator_node import SimulatorNode
 from tests.ros_domains import new_domain
@@ -23,6 +24,7 @@ from tests.ros_nodes import add, ros_context, spin_until
 FILE = Path(__file__).resolve().parents[2] / "ampc_ros" / "security" / "policy.xml"
 NODES: dict[str, Any] = {
     "controller": ControllerNode,
+    "gate": GateNode,
     "planner": PlannerNode,
     "simulator": SimulatorNode,
     "recorder": Recorder,
@@ -31,6 +33,7 @@ NODES: dict[str, Any] = {
 RULES = {"topics": ("publish", "subscribe"), "services": ("reply", "request")}
 NOT_YET = {
     "recorder": {"subscribe /tf", "subscribe /tf_static"},  # where tf2_msgs is installed
+    "simulator": {f"subscribe /{topic}" for topic in (ros.GATE_STEERING, ros.GATE_SPEED)},
 }
 """What is allowed, though no node does it here."""
 
@@ -76,8 +79,9 @@ def used_by(observer: Node, name: str) -> set[str]:
 
 
 def is_seen(observer: Node, nodes: dict[str, Any]) -> bool:
-    """Check whether all endpoints are discovered, with those that the markers need for a viewer."""
-    return bool(nodes["markers"].inputs.topics) and all(
+    """Check whether all endpoints are discovered, with those that need another node first."""
+    is_complete = bool(nodes["markers"].inputs.topics) and nodes["gate"].outputs.is_connected
+    return is_complete and all(
         {f"publish {each.topic_name}" for each in node.publishers}
         | {f"subscribe {each.topic_name}" for each in node.subscriptions}
         | {f"reply {each.service_name}" for each in node.services}
@@ -135,6 +139,12 @@ def test_a_node_may_not_do_what_it_never_does(name: str, used: dict[str, set[str
 def test_only_the_controller_may_publish_steering() -> None:
     right = f"publish /{ros.STEERING_COMMAND}"
     assert [name for name, profile in profiles() if right in profile.rights] == ["controller"]
+
+
+def test_only_the_gate_may_command_the_car() -> None:
+    for topic in (ros.DRIVE_COMMAND, ros.GATE_STEERING, ros.GATE_SPEED):
+        right = f"publish /{topic}"
+        assert [name for name, profile in profiles() if right in profile.rights] == ["gate"]
 
 
 def test_nobody_may_call_a_service_of_another_node() -> None:

@@ -20,9 +20,8 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time_source import USE_SIM_TIME_NAME
 
-from ampc_msgs_config import topics
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.nodes import qos
-from ampc_msgs_config.nodes.commands import time_message
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
@@ -126,14 +125,12 @@ class BaseNode(Node):
             values=[KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = time_message(stamp_ns)
+        message.header.stamp = ros.time_message(stamp_ns)
         self.diagnostics.publish(message)
 
 
 def compile_conversion() -> None:
     """Compile the conversion of odometry."""
-    from ampc_msgs_config import ros  # imports numba
-
     at_rest = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     ros.vehicle_state(ros.odometry_message(at_rest))
 

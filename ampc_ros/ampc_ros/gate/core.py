@@ -30,7 +30,7 @@ POSE_TIMEOUT = 0.2
 LIMIT_SHARE = 1.25
 """The controller may know another speed: its angle may reach this share of the gate's limit before
 it counts as unsafe. What is published is clipped at the limit itself."""
-ROUNDING = 1e-9
+CONVERSION_ERROR = 1e-9
 """Differences below this come from ratio and offset of the steering topics [rad]."""
 CREEPING = 0.2
 """A slower car stands [m/s]."""
@@ -99,6 +99,8 @@ class Gate:
         self.guard = Guard(limits, chassis, settings.period)
         self.state, self.reason = GateState.WAITING, ""
         self.command: ReceivedCommand | None = None
+        self._heard: float | None = None
+        """Angle of the last finite command, sound or not [rad]."""
         self.target: Measured | None = None
         self.speed: Measured | None = None
         self.pose: tuple[MeasuredPose, float] | None = None
@@ -137,7 +139,8 @@ class Gate:
         # Speed: the target, or the falling speed of a stop.
         speed = self._commanded_speed(now)
 
-        # The guard limits each change over the true time since the last one.
+        # The guard limits each change over the true time since the last one; time in which it
+        # has held the angle back does not add up.
         before = self.guard.steering
         guarded = self.guard.step(
             angle,
@@ -146,9 +149,9 @@ class Gate:
             value_of(self.measured, now),
             now - self._moved_at,
         )
-        if guarded.steering != before:
+        if guarded.steering != before or guarded.steering != angle:
             self._moved_at = now
-        is_command = command is not None and abs(guarded.steering - angle) <= ROUNDING
+        is_command = command is not None and abs(guarded.steering - angle) <= CONVERSION_ERROR
         self.output = GateOutput(guarded.steering, guarded.steering_rate, speed, is_command)
         return self.output
 
@@ -161,6 +164,7 @@ class Gate:
             now: Arrival, steady time [s].
         """
         problem = self._danger(angle, rate, now)
+        self._heard = angle if math.isfinite(angle) else self._heard
         if problem:
             self.suspect(problem)
         else:
@@ -171,17 +175,20 @@ class Gate:
         """Return why a command is unsafe; empty: it is sound."""
         if not (math.isfinite(angle) and math.isfinite(rate)):
             return f"steering_command: angle {angle:g} rad, rate {rate:g} rad/s must be finite"
-        guard, last = self.guard, self.command
+        guard = self.guard
         bound = bounds(guard.limits, guard.chassis, self.speed_at(now))
         most = LIMIT_SHARE * min(bound.angle, bound.acceleration)
-        if last:
+        is_followed = self.command is not None and self.state in DRIVES
+        last = self.command.angle if self.command and is_followed else self._heard
+        if last is not None:
             # A sound controller moves at most at the limit of the rate, and after a pause as far
             # as in two periods. One that has jumped does not become sound by staying there.
-            reach = LONGEST_PAUSE * self.settings.period * min(bound.rate, bound.jerk) + ROUNDING
-            if abs(angle - last.angle) > reach:
-                step = f"{angle - last.angle:.3f} rad from the last one"
+            turn = LONGEST_PAUSE * self.settings.period * min(bound.rate, bound.jerk)
+            reach = turn + CONVERSION_ERROR
+            if abs(angle - last) > reach:
+                step = f"{angle - last:.3f} rad from the last one"
                 return f"steering_command: step of {step} must lie within {reach:.3f} rad"
-            most = max(most, abs(last.angle))  # it may be on its way back
+            most = max(most, abs(last))  # it may be on its way back
         if abs(angle) > most:
             return f"steering_command: angle {angle:.3f} must lie in [{-most:.3f}, {most:.3f}] rad"
         return ""
@@ -319,7 +326,7 @@ class Gate:
             return self.guard.steering
         chassis, distance, change = self.guard.chassis, self.odometer - plan.odometer, 0.0
         if self.pose and now - self.pose[1] <= POSE_TIMEOUT:
-            pose = self.pose[0]
+            pose = self.pose[0].after(now - self.pose[1])
             if place := place_on(plan.plan, pose, distance):
                 self.odometer, distance = plan.odometer + place.distance, place.distance
                 change = pose_correction(place, chassis, pose)

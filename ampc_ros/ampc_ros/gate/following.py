@@ -41,6 +41,13 @@ class MeasuredPose(NamedTuple):
     v_y: float
     """[m/s]."""
 
+    def after(self, time: float) -> "MeasuredPose":
+        """Return the pose after a short time of straight motion [s]."""
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        x = self.x + (self.v_x * cosine - self.v_y * sine) * time
+        y = self.y + (self.v_x * sine + self.v_y * cosine) * time
+        return self._replace(x=x, y=y)
+
 
 class PlanPlace(NamedTuple):
     """Where a car is relative to a plan."""

@@ -2,7 +2,7 @@
 
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
 from ampc_msgs_config.types import NANOSECONDS
-from ampc_ros.gate.core import ROUNDING, GateOutput
+from ampc_ros.gate.core import CONVERSION_ERROR, GateOutput
 from ampc_ros.supervision.guard import Guard
 
 
@@ -29,5 +29,5 @@ class LockStepGate:
         elapsed = (stamp_ns - self.stamp_ns) / NANOSECONDS
         self.stamp_ns = stamp_ns
         guarded = self.guard.step(angle, rate, speed, None, elapsed)
-        is_command = abs(guarded.steering - angle) <= ROUNDING
+        is_command = abs(guarded.steering - angle) <= CONVERSION_ERROR
         return GateOutput(guarded.steering, guarded.steering_rate, speed, is_command)

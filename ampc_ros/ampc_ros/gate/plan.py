@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ampc_ros.supervision.guard import MAX_GUARD_SPEED, MAX_MEASURED
 
-MIN_POINTS, MAX_POINTS = 2, 2000
+FEWEST_PLAN_POINTS, MOST_PLAN_POINTS = 2, 2000
 """Number of points of a plan."""
 
 
@@ -53,8 +53,8 @@ def make_plan(points: Sequence[PlanPoint], *, has_places: bool = True) -> Steeri
     Raises:
         ValueError: Names the point, the value and the bound.
     """
-    if not MIN_POINTS <= len(points) <= MAX_POINTS:
-        bound = f"must have {MIN_POINTS} to {MAX_POINTS} points"
+    if not FEWEST_PLAN_POINTS <= len(points) <= MOST_PLAN_POINTS:
+        bound = f"must have {FEWEST_PLAN_POINTS} to {MOST_PLAN_POINTS} points"
         raise ValueError(f"steering_plan: {len(points)} points {bound}")
     for i, point in enumerate(points):
         check_point(i, point)

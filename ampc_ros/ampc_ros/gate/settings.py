@@ -3,7 +3,7 @@
 from enum import Enum
 from typing import NamedTuple
 
-LATE_PERIODS, SHORTEST_LATE = 1.5, 0.04
+LATE_PERIODS, SHORTEST_LATE = 1.5, 0.06
 """Age from which a command is late [periods], at least [s]."""
 TIMEOUT_PERIODS, SHORTEST_TIMEOUT = 2.5, 0.12
 """Age of a command that stops the car [periods], at least [s], which a loaded machine needs."""

@@ -16,13 +16,13 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
-from std_msgs.msg import UInt64
+from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from ampc_msgs_config import topics
+from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import find, load
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
@@ -39,6 +39,7 @@ from ampc_ros.gate.core import Gate, GateOutput
 from ampc_ros.gate.following import MeasuredPose
 from ampc_ros.gate.lock_step import LockStepGate
 from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
+from ampc_ros.nodes.gate_lock_step import LockStepAnswers
 from ampc_ros.nodes.gate_outputs import GateOutputs, angle_rate, steering_plan
 
 GUARDED = (topics.STEERING_COMMAND, topics.TARGET_SPEED, topics.STEERING_PLAN)
@@ -51,8 +52,6 @@ UNSAFE = 1
 """Exit code in lock-step, where nothing can stop the car."""
 CONNECT_PERIOD = 0.05
 """Lock-step: wall time between two looks for publishers of the inputs [s]."""
-SPEEDS_KEPT = 20
-"""Number of odometry messages among which lock-step looks for that of a command."""
 LEVELS = dict.fromkeys(GateState, WARN) | {GateState.DRIVING: OK} | dict.fromkeys(STOPS, ERROR)
 
 
@@ -67,11 +66,8 @@ class GateNode(BaseNode):
         self.load()
         self.outputs = GateOutputs(self, self.steering, self.chassis.wheelbase)
         self.command: JointState | None = None
-        self.target: commands.Stamped | None = None
+        self.target: ros.Stamped | None = None
         self.rounds = self.failures = 0
-        self.passed: GateOutput | None = None
-        self.speeds: dict[int, float] = {}
-        """Lock-step: measured speed by stamp [ns]."""
         self.subscribe()
         self.create_service(Trigger, "~/reset", self.on_reset)
         self.outputs.publish_state(self.gate.state)
@@ -109,16 +105,16 @@ class GateNode(BaseNode):
         limits = load(GuardLimits, guard)
         chosen = GateSettings(period, max(timeout, 0.0), deceleration)
         self.gate = Gate(limits, self.chassis, chosen)
-        self.passing = LockStepGate(limits, self.chassis, period)
+        self.answers = LockStepAnswers(self, LockStepGate(limits, self.chassis, period))
 
     def subscribe(self) -> None:
         """Subscribe to all inputs; odometry first, so that it is received before a command."""
         self.inputs = Inputs(self)
         if self.lock_step:
-            self.listen(Odometry, topics.ODOM, self.on_odometry_in_lock_step, qos.RELIABLE)
-            on_command, on_speed = self.on_command_in_lock_step, self.on_speed_in_lock_step
-            self.listen(JointState, topics.STEERING_COMMAND, on_command, qos.RELIABLE)
-            self.listen(TwistStamped, topics.TARGET_SPEED, on_speed, qos.RELIABLE)
+            answers = self.answers
+            self.listen(Odometry, topics.ODOM, answers.on_odometry, qos.RELIABLE)
+            self.listen(JointState, topics.STEERING_COMMAND, answers.on_command, qos.RELIABLE)
+            self.listen(TwistStamped, topics.TARGET_SPEED, answers.on_speed, qos.RELIABLE)
             return
         self.listen(Odometry, topics.ODOM, self.on_odometry, qos.NEWEST)
         self.listen(JointState, topics.STEERING_STATE, self.on_steering, qos.NEWEST)
@@ -140,7 +136,7 @@ class GateNode(BaseNode):
         def on_data(data: bytes) -> None:
             if len(data) > most:
                 raise ValueError(f"{topic}: {len(data)} bytes must be at most {most}")
-            callback(commands.decode(data, kind))
+            callback(ros.decode(data, kind))
 
         on_input = partial(self.survive, on_data)
         self.inputs.add(kind, topic, on_input, *profiles, raw=True, **how)
@@ -173,7 +169,7 @@ class GateNode(BaseNode):
             ValueError: The command is unsafe.
         """
         try:
-            angle = commands.steering_angle(message, self.steering).value
+            angle = ros.steering_angle(message, self.steering).value
         except ValueError as error:
             self.gate.suspect(str(error))
             raise
@@ -185,7 +181,7 @@ class GateNode(BaseNode):
 
     def on_speed(self, message: TwistStamped) -> None:
         """Use a target speed with the next output."""
-        target = commands.target_speed(message)
+        target = ros.target_speed(message)
         self.gate.take_speed(target.value, time.monotonic())
         self.target = target
 
@@ -203,7 +199,7 @@ class GateNode(BaseNode):
 
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
-        angle = commands.steering_angle(message, self.steering).value
+        angle = ros.steering_angle(message, self.steering).value
         self.gate.take_measured(angle, time.monotonic())
 
     def on_deadline(self, _: Any) -> None:
@@ -246,11 +242,16 @@ class GateNode(BaseNode):
         """Publish an output, with the stamps of what it passes on."""
         command = self.command if output.is_command else None
         now_ns = self.now_ns
-        stamp_ns = commands.nanoseconds(command.header.stamp) if command else now_ns
+        stamp_ns = ros.nanoseconds(command.header.stamp) if command else now_ns
         target = self.target if self.gate.state in DRIVES else None
         self.outputs.publish_drive(output, stamp_ns)
         self.outputs.publish_steering(output, stamp_ns, command)
         self.outputs.publish_speed(output.speed, target.stamp_ns if target else now_ns)
+
+    def publish_final(self) -> None:
+        """Request a stop: nothing passes commands on any more."""
+        if self.gate.state in DRIVES and not self.lock_step:
+            self.outputs.stops.publish(Bool(data=True))
 
     def report_change(self, before: GateState) -> None:
         """Publish a new state, with a request to stop where it is one."""
@@ -307,56 +308,6 @@ class GateNode(BaseNode):
         values |= {f"{name}_age": now - each.at for name, each in ages.items() if each}
         values |= {f"clipped_{name}": float(count) for name, count in gate.guard.count.items()}
         self.report(self.now_ns, sentence, values, level)
-
-    def on_odometry_in_lock_step(self, message: Odometry) -> None:
-        """Store the speed of a state, and pass a command on that has waited for it."""
-        stamp_ns = commands.nanoseconds(message.header.stamp)
-        self.speeds[stamp_ns] = message.twist.twist.linear.x
-        while len(self.speeds) > SPEEDS_KEPT:
-            del self.speeds[next(iter(self.speeds))]
-        self.pass_on()
-
-    def on_command_in_lock_step(self, message: JointState) -> None:
-        """Pass a command on.
-
-        Raises:
-            ValueError: The command is unsafe, or there is a second publisher.
-        """
-        if intruders := self.second_publishers():
-            raise ValueError(intruders)
-        commands.steering_angle(message, self.steering)
-        self.command = message
-        self.pass_on()
-
-    def pass_on(self) -> None:
-        """Publish the newest command once, after the state that it answers."""
-        command = self.command
-        stamp_ns = commands.nanoseconds(command.header.stamp) if command else -1
-        if command is None or stamp_ns not in self.speeds or not self.is_ready():
-            return
-        self.command = None
-        angle = commands.steering_angle(command, self.steering).value
-        rate = angle_rate(command, self.steering)
-        self.passed = self.passing.step(stamp_ns, angle, rate, self.speeds[stamp_ns])
-        is_command = self.passed.is_command
-        self.outputs.publish_steering(self.passed, stamp_ns, command if is_command else None)
-        self.gate.state = GateState.DRIVING
-        self.outputs.publish_state(self.gate.state)
-        self.pass_pair()
-
-    def on_speed_in_lock_step(self, message: TwistStamped) -> None:
-        """Pass a target speed on, unchanged."""
-        target = commands.target_speed(message)
-        if self.is_ready():
-            self.target = target
-            self.outputs.speeds.publish(message)
-            self.pass_pair()
-
-    def pass_pair(self) -> None:
-        """Publish the complete command once both parts answer the same state."""
-        if self.passed and self.target and self.target.stamp_ns == self.passing.stamp_ns:
-            output = self.passed._replace(speed=self.target.value)
-            self.outputs.publish_drive(output, self.target.stamp_ns)
 
 
 def main() -> int:

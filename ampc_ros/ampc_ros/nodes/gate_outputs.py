@@ -8,13 +8,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String, UInt64
 from trajectory_msgs.msg import JointTrajectory
 
-from ampc_msgs_config import topics
-from ampc_msgs_config.nodes import commands, qos
+from ampc_msgs_config import ros, topics
+from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import NO_EVENTS
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
 from ampc_ros.gate.core import GateOutput
-from ampc_ros.gate.plan import MAX_POINTS, PlanPoint, SteeringPlan, make_plan
+from ampc_ros.gate.plan import MOST_PLAN_POINTS, PlanPoint, SteeringPlan, make_plan
 from ampc_ros.gate.settings import STOPS, GateState
 
 DEADLINE, LEASE = 0.2, 0.3
@@ -39,8 +39,8 @@ def steering_plan(message: JointTrajectory, steering: SteeringParameters) -> Ste
     if joints not in (expected, expected[:LEAST_JOINTS]):
         names = str(list(joints[:5]))[:80]
         raise ValueError(f"steering_plan: joint_names = {names} must be {list(expected)}")
-    if len(message.points) > MAX_POINTS:
-        text = f"must have at most {MAX_POINTS}"
+    if len(message.points) > MOST_PLAN_POINTS:
+        text = f"must have at most {MOST_PLAN_POINTS}"
         raise ValueError(f"steering_plan: {len(message.points)} points {text}")
     points = []
     for i, point in enumerate(message.points):
@@ -114,7 +114,7 @@ class GateOutputs:
             stamp_ns: Stamp [ns].
             command: Command whose angle it is: its numbers are passed on bit for bit.
         """
-        message = commands.joint_message(stamp_ns, output.angle, output.rate, self.steering)
+        message = ros.joint_message(stamp_ns, output.angle, output.rate, self.steering)
         if command:
             message.position = command.position
             if output.rate == angle_rate(command, self.steering) and len(command.velocity) == 1:
@@ -123,10 +123,10 @@ class GateOutputs:
 
     def publish_speed(self, speed: float, stamp_ns: int) -> None:
         """Publish the commanded speed [m/s]."""
-        self.speeds.publish(commands.speed_message(commands.Stamped(stamp_ns, speed)))
+        self.speeds.publish(ros.speed_message(ros.Stamped(stamp_ns, speed)))
 
     def publish_drive(self, output: GateOutput, stamp_ns: int) -> None:
         """Publish the complete command: speed and the yaw rate of the kinematic model."""
-        message = commands.speed_message(commands.Stamped(stamp_ns, output.speed))
+        message = ros.speed_message(ros.Stamped(stamp_ns, output.speed))
         message.twist.angular.z = output.speed * output.curvature(self.wheelbase)
         self.drive.publish(message)
