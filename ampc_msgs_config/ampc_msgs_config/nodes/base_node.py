@@ -12,7 +12,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -22,6 +22,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.compiled import log_compilation
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, describe_error, shortened
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
@@ -51,6 +52,10 @@ class BaseNode(Node):
         )
         if self.lock_step and not owns_time:
             self.set_parameters([Parameter(USE_SIM_TIME_NAME, value=True)])
+        text = "follow /clock; fixed while the node runs, because timers and stamps depend on it"
+        self.set_descriptor(
+            USE_SIM_TIME_NAME, ParameterDescriptor(description=text, read_only=True)
+        )
         self.wait_for_recorder: bool = declare(
             self,
             "wait_for_recorder",
@@ -60,6 +65,7 @@ class BaseNode(Node):
         self.is_recorded = False
         self.trouble = ""
         self.rejected = 0
+        self.failed = FailedCallbacks(self.get_logger(), ends_stream=self.lock_step)
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.RELIABLE, event_callbacks=NO_EVENTS
         )
@@ -95,8 +101,8 @@ class BaseNode(Node):
     def reject(self, error: ValueError) -> None:
         """Count and log an input that is not used."""
         self.rejected += 1
-        self.trouble = str(error)
-        self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        self.trouble = shortened(str(error))
+        self.get_logger().error(self.trouble, throttle_duration_sec=1.0)
 
     def report(
         self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
@@ -111,10 +117,12 @@ class BaseNode(Node):
         """
         if self.wait_for_recorder:
             lasting, level = "waiting for a recorder that subscribes to this node", WARN
-        passing, self.trouble = self.trouble, ""
-        trouble = "; ".join(filter(None, (lasting, passing)))
+        passing = "; ".join(filter(None, (self.trouble, self.failed.take_newest())))
+        self.trouble = ""
+        trouble = shortened("; ".join(filter(None, (lasting, passing))))
         level = max(level if lasting else OK, WARN if passing else OK)
-        values = {**values, "rejected_inputs": self.rejected}
+        own = {"rejected_inputs": self.rejected, "failed_callbacks": self.failed.count}
+        values = {**values, **own}
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self.get_fully_qualified_name(),
@@ -167,7 +175,8 @@ def declare(
 def spin(make_node: Callable[[], BaseNode]) -> int:
     """Run one node until it ends itself or a signal arrives; return the exit code of the process.
 
-    A wrong configuration gives one line on stderr and exit code 2.
+    A wrong configuration gives one line on stderr and exit code 2; so does a ValueError in
+    lock-step, and any other exception there exit code 1. In real time no exception ends the node.
 
     Note:
         Own signal handlers are used, because those of rclpy shut the middleware down before the
@@ -204,17 +213,28 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
 
 
 def _spin(node: BaseNode, signals: list[int]) -> int:
-    """Run a node until a signal arrives; return the exit code with which it ends itself, or 0."""
+    """Run a node until a signal arrives; return the exit code with which it ends itself, or 0.
+
+    Raises:
+        ValueError: A callback raised it in lock-step.
+    """
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     gc.collect()
     gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
-            executor.spin_once(timeout_sec=0.1)
+            node.failed.run_next(executor, timeout=0.1)
+        return 0
+    except ExternalShutdownException:
         return 0
     except SystemExit as end:
         return int(end.code or 0)
+    except ValueError:
+        raise
+    except Exception as error:
+        print(f"error: {describe_error(error)}", file=sys.stderr, flush=True)
+        return 1
     finally:
         node.publish_final()
         node.flush()
