@@ -8,7 +8,12 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+)
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
@@ -52,10 +57,7 @@ class BaseNode(Node):
         )
         if self.lock_step and not owns_time:
             self.set_parameters([Parameter(USE_SIM_TIME_NAME, value=True)])
-        text = "follow /clock; fixed while the node runs, because timers and stamps depend on it"
-        self.set_descriptor(
-            USE_SIM_TIME_NAME, ParameterDescriptor(description=text, read_only=True)
-        )
+        fix_use_sim_time(self)
         self.wait_for_recorder: bool = declare(
             self,
             "wait_for_recorder",
@@ -134,6 +136,16 @@ class BaseNode(Node):
         self.diagnostics.publish(message)
 
 
+def fix_use_sim_time(node: Node) -> None:
+    """Reject changes of `use_sim_time`: a running drive would lose its clock."""
+    descriptor = ParameterDescriptor(
+        type=ParameterType.PARAMETER_BOOL,
+        description="follow /clock; fixed at the start, as timers and stamps depend on it",
+        read_only=True,
+    )
+    node.set_descriptor(USE_SIM_TIME_NAME, descriptor)
+
+
 def declare(
     node: Node,
     name: str,
@@ -205,8 +217,8 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
         return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0
-    except (ValueError, ParameterException) as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+    except (ValueError, OSError, ParameterException) as error:
+        print(f"error: {shortened(str(error))}", file=sys.stderr, flush=True)
         return 2
     finally:
         rclpy.try_shutdown()

@@ -29,7 +29,7 @@ from rosbags import interfaces
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
-from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks
+from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, shortened
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
@@ -317,7 +317,7 @@ def main() -> int:
         recorder = Recorder()
         record(recorder, signals)
     except (ValueError, OSError, RuntimeError, ParameterException) as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        print(f"error: {shortened(str(error))}", file=sys.stderr, flush=True)
         if recorder is None:
             return 2  # wrong parameters
         recorder.report_failure(str(error))
