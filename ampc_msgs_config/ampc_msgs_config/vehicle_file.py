@@ -5,7 +5,14 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ampc_msgs_config.config import LONGEST_NAME, build, is_regular_file, read, shipped, shipped_schema
+from ampc_msgs_config.config import (
+    LONGEST_NAME,
+    build,
+    is_regular_file,
+    read,
+    shipped,
+    shipped_schema,
+)
 from ampc_msgs_config.validation import T, check_mapping, convert, did_you_mean, hints, number
 
 SECTIONS = ("chassis", "steering", "size", "tyre", "body", "aerodynamics", "powertrain")
