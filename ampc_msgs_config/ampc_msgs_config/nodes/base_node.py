@@ -123,8 +123,9 @@ class BaseNode(Node):
         self.trouble = ""
         trouble = shortened("; ".join(filter(None, (lasting, passing))))
         level = max(level if lasting else OK, WARN if passing else OK)
-        own = {"rejected_inputs": self.rejected, "failed_callbacks": self.failed.count}
-        values = {**values, **own}
+        values = {**values, "rejected_inputs": self.rejected}
+        if self.failed.count:
+            values["failed_callbacks"] = self.failed.count
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self.get_fully_qualified_name(),
