@@ -29,6 +29,8 @@ MAX_YAML_BYTES = 5_000_000
 """Greatest size of a YAML file [bytes]."""
 MAX_NODES = 5_000_000
 """Greatest number of values in a YAML file, where each alias counts as all that it stands for."""
+LONGEST_NAME = 300
+"""Longest name of a file in a message [characters]."""
 SCALARS = {
     "bool": re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"),
     "int": re.compile(r"[-+]?(?:0|[1-9][0-9]*)\Z"),
@@ -95,6 +97,17 @@ def shipped_schema(name: str) -> Path:
     return FOLDER / "schemas" / f"{name}.json"
 
 
+def is_regular_file(path: Path) -> bool:
+    """Return whether a path is that of a file; False where the system refuses the question.
+
+    It refuses a name that is too long, and a folder without permission.
+    """
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def find(folder: str, name: str) -> Path:
     """Return the file of a shipped name, or the path that a user wrote.
 
@@ -102,9 +115,10 @@ def find(folder: str, name: str) -> Path:
         ValueError: There is neither; the message lists the shipped names.
     """
     known = shipped(folder)
-    if name not in known and not Path(name).is_file():
-        names = f"{', '.join(known)}{did_you_mean(name, known)}"
-        raise ValueError(f"{name!r} is neither a file nor one of the shipped {folder}: {names}")
+    if name not in known and not is_regular_file(Path(name)):
+        names = f"{', '.join(known)}{did_you_mean(name[:LONGEST_NAME], known)}"
+        what = f"{name!r}" if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]!r}..."
+        raise ValueError(f"{what} is neither a file nor one of the shipped {folder}: {names}")
     return known.get(name, Path(name))
 
 

@@ -66,6 +66,7 @@ REASONS = (
     "wrong_way",
     "driving_backwards",
     "path_end",
+    "controller_fault",
 )
 """Why a command is not the optimal solution, or why a stop is requested. Recordings hold the index:
 new reasons are appended."""
@@ -212,6 +213,10 @@ class TickRecord(NamedTuple):
     """Estimated road-wheel angle at a commanded angle of zero [rad]."""
     rear_cornering_stiffness: float = math.nan
     """Cornering stiffness of one rear tyre that the controller assumes [N/rad]."""
+    command_interval: float = math.nan
+    """Time since the last command, which bounds the step of the command [s]."""
+    started_from: float = math.nan
+    """Angle in force from which the controller started with this tick; nan: it goes on [rad]."""
 
     @property
     def quantities(self) -> tuple[float, ...]:

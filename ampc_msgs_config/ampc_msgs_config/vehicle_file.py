@@ -5,7 +5,14 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ampc_msgs_config.config import build, read, shipped, shipped_schema
+from ampc_msgs_config.config import (
+    LONGEST_NAME,
+    build,
+    is_regular_file,
+    read,
+    shipped,
+    shipped_schema,
+)
 from ampc_msgs_config.validation import T, check_mapping, convert, did_you_mean, hints, number
 
 SECTIONS = ("chassis", "steering", "size", "tyre", "body", "aerodynamics", "powertrain")
@@ -116,10 +123,11 @@ def _parent(file: Path, name: object) -> Path:
     if not isinstance(name, str) or not name:
         raise ValueError(f"{file}: {SAME_AS} = {name!r} must be a shipped vehicle or a file")
     known, beside = shipped("vehicles"), file.parent / name
-    if name not in known and not beside.is_file():
+    if name not in known and not is_regular_file(beside):
         names = f"{', '.join(known)}{did_you_mean(name, known)}"
         problem = f"is neither the file {beside} nor one of the shipped vehicles: {names}"
-        raise ValueError(f"{file}: {SAME_AS} = {name!r} {problem}")
+        problem = f"{name!r} {problem}" if len(name) <= LONGEST_NAME else "is too long for a name"
+        raise ValueError(f"{file}: {SAME_AS} = {problem}")
     return known.get(name, beside)
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from ampc_msgs_config.config import build, find, load, shipped
+from ampc_msgs_config.config import build, find, is_regular_file, load, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     ControllerSettings,
@@ -149,10 +149,10 @@ def check_controller(name: str) -> str:
     file, separator, class_name = name.rpartition(FILE_SEPARATOR)
     if not separator:
         return name
-    path = Path(file + ".py").resolve()
-    if not path.is_file():
+    path = Path(file + ".py")
+    if not is_regular_file(path):
         raise ValueError(f"controller = {name!r}: there is no file {path}")
-    return f"{path}:{class_name}"
+    return f"{path.resolve()}:{class_name}"
 
 
 def check_controller_name(name: object) -> None:

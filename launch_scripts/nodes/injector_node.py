@@ -14,6 +14,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
@@ -72,7 +73,7 @@ class InjectorNode(BaseNode):
         self.controller = AsyncParameterClient(self, "controller")
         self.create_timer(CHECK_PERIOD, self.on_timer)
         self.create_timer(PATH_PERIOD, self.on_path_timer)
-        self.create_timer(1.0, self.on_diagnostics)
+        self.create_timer(1.0, self.on_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"ready: {len(schedule.faults)} faults")
 
     @property

@@ -61,6 +61,8 @@ def replay_ticks(
         values = tick.values
         state = Received(tick.state, tick.state.stamp_ns, tick.ago_ns("state_silence"))
         yaw_rate = values.get("corrected_yaw_rate", math.nan)
+        if not math.isnan(started_from := values.get("started_from", math.nan)):
+            supervisor.start_from(started_from)
         supervisor.replay_state(state, int(values.get("resets", 0)), yaw_rate)
         supervisor.take_path(tick.path.points, tick.path.stamp_ns, tick.ago_ns("path_silence"))
         if not math.isnan(values.get("measured_steering", math.nan)):
@@ -68,7 +70,9 @@ def replay_ticks(
         supervisor.inject_qp_fault(values.get("qp_fault", 0.0) > 0)
         if not values.get("stop_requested", 1.0) > 0:  # taken back by the service ~/reset_stop
             supervisor.clear_stop()
-        record = supervisor.tick(tick.now_ns)
+        # records without this quantity limited every command by one period
+        interval = values.get("command_interval", supervisor.period)
+        record = supervisor.tick(tick.now_ns, interval)
         assert record is not None  # state and path are set
         if synchronised:
             supervisor.correct(tick.values["steering"])

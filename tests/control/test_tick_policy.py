@@ -49,7 +49,7 @@ class Stub:
         """Whether the state can be predicted."""
         return 0 < now_ns - self.newest_ns <= self.longest_ns
 
-    def tick(self, now_ns: int) -> Any:
+    def tick(self, now_ns: int, elapsed: float | None = None) -> Any:
         """Record a tick."""
         self.ticks.append((self.newest_ns, now_ns))
         command = type("Command", (), {"stamp_ns": self.newest_ns})

@@ -1,4 +1,4 @@
-"""How the controller's process ends: by signals in each state, and by a fault of its own."""
+"""How the controller's process ends by signals in each state."""
 
 import signal
 import subprocess
@@ -10,9 +10,7 @@ from contextlib import contextmanager
 import pytest
 from lifecycle_msgs.msg import Transition
 
-from ampc_msgs_config.nodes import base_node
 from ampc_msgs_config.signals import ENDING, handle_ending_signals
-from ampc_ros.nodes.controller_node import ControllerNode
 from tests.driver_of_nodes import Driver
 from tests.ros_nodes import ros_context, spin_until
 from tests.waiting import TIMEOUT
@@ -118,20 +116,3 @@ def test_nohup_keeps_its_effect() -> None:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def test_a_fault_in_the_programme_leaves_the_last_angle_and_a_requested_stop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    with ros_context(controller="pure_pursuit", static_path="true") as executor:
-        node = ControllerNode()
-        driver = Driver(executor, node)
-        angle = driver.drive_for(6)[-1]
-        executor.remove_node(node)
-        monkeypatch.setattr(node.supervisor, "tick", lambda _: 1 / 0)
-        driver.drive()
-        with pytest.raises(ZeroDivisionError):
-            base_node._spin(node, [])
-        spin_until(executor, lambda: driver.stops[-1:] == [True])
-        spin_until(executor, lambda: driver.commands[-1].velocity[0] == 0.0)
-        assert driver.commands[-1].position[0] == angle

@@ -9,11 +9,16 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+)
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -22,6 +27,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, describe_error, shortened
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
@@ -54,6 +60,7 @@ class BaseNode(Node):
         )
         if self.lock_step and not owns_time:
             self.set_parameters([Parameter(USE_SIM_TIME_NAME, value=True)])
+        fix_use_sim_time(self)
         self.wait_for_recorder: bool = declare(
             self,
             "wait_for_recorder",
@@ -63,6 +70,7 @@ class BaseNode(Node):
         self.is_recorded = False
         self.trouble = ""
         self.rejected = 0
+        self.failed = FailedCallbacks(self.get_logger(), ends_stream=self.lock_step)
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.RELIABLE, event_callbacks=NO_EVENTS
         )
@@ -98,8 +106,8 @@ class BaseNode(Node):
     def reject(self, error: ValueError) -> None:
         """Count and log an input that is not used."""
         self.rejected += 1
-        self.trouble = str(error)
-        self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        self.trouble = shortened(str(error))
+        self.get_logger().error(self.trouble, throttle_duration_sec=1.0)
 
     def report(
         self, stamp_ns: int, lasting: str, values: Mapping[str, float], level: int = WARN
@@ -114,10 +122,13 @@ class BaseNode(Node):
         """
         if self.wait_for_recorder:
             lasting, level = "waiting for a recorder that subscribes to this node", WARN
-        passing, self.trouble = self.trouble, ""
-        trouble = "; ".join(filter(None, (lasting, passing)))
+        passing = "; ".join(filter(None, (self.trouble, self.failed.take_newest())))
+        self.trouble = ""
+        trouble = shortened("; ".join(filter(None, (lasting, passing))))
         level = max(level if lasting else OK, WARN if passing else OK)
         values = {**values, "rejected_inputs": self.rejected}
+        if self.failed.count:
+            values["failed_callbacks"] = self.failed.count
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self.get_fully_qualified_name(),
@@ -144,6 +155,16 @@ def log_compilation_of(
     from ampc_msgs_config.compiled import log_compilation  # imports numba
 
     return log_compilation(name, get_logger(name).info)
+
+
+def fix_use_sim_time(node: Node) -> None:
+    """Reject changes of `use_sim_time`: a running drive would lose its clock."""
+    descriptor = ParameterDescriptor(
+        type=ParameterType.PARAMETER_BOOL,
+        description="follow /clock; fixed at the start, as timers and stamps depend on it",
+        read_only=True,
+    )
+    node.set_descriptor(USE_SIM_TIME_NAME, descriptor)
 
 
 def declare(
@@ -187,7 +208,8 @@ def declare(
 def spin(make_node: Callable[[], BaseNode]) -> int:
     """Run one node until it ends itself or a signal arrives; return the exit code of the process.
 
-    A wrong configuration gives one line on stderr and exit code 2.
+    A wrong configuration gives one line on stderr and exit code 2; so does a ValueError in
+    lock-step, and any other exception there exit code 1. In real time no exception ends the node.
 
     Note:
         Own signal handlers are used, because those of rclpy shut the middleware down before the
@@ -216,25 +238,36 @@ def spin(make_node: Callable[[], BaseNode]) -> int:
         return _spin(created[0], signals)
     except KeyboardInterrupt:
         return 0
-    except (ValueError, ParameterException) as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+    except (ValueError, OSError, ParameterException) as error:
+        print(f"error: {shortened(str(error))}", file=sys.stderr, flush=True)
         return 2
     finally:
         rclpy.try_shutdown()
 
 
 def _spin(node: BaseNode, signals: list[int]) -> int:
-    """Run a node until a signal arrives; return the exit code with which it ends itself, or 0."""
+    """Run a node until a signal arrives; return the exit code with which it ends itself, or 0.
+
+    Raises:
+        ValueError: A callback raised it in lock-step.
+    """
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     gc.collect()
     gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
-            executor.spin_once(timeout_sec=0.1)
+            node.failed.run_next(executor, timeout=0.1)
+        return 0
+    except ExternalShutdownException:
         return 0
     except SystemExit as end:
         return int(end.code or 0)
+    except ValueError:
+        raise
+    except Exception as error:
+        print(f"error: {describe_error(error)}", file=sys.stderr, flush=True)
+        return 1
     finally:
         node.publish_final()
         node.flush()

@@ -74,10 +74,9 @@ class MarkerNode(BaseNode):
         self.pictures = 0
         self.frame_id = topics.MAP
         self.publisher = self.create_publisher(MarkerArray, topics.MARKERS, qos.COMMAND)
-        self.create_timer(
-            PICTURE_PERIOD, self.on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        self.create_timer(1.0, self.on_diagnostics)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(PICTURE_PERIOD, self.on_timer, clock=self.steady)
+        self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else self.steady)
         self.get_logger().info("ready")
 
     def on_timer(self) -> None:

@@ -29,6 +29,7 @@ from rosbags import interfaces
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
+from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, shortened
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
@@ -103,6 +104,8 @@ class Recorder(Node):
         self.incompatible: set[str] = set()
         self.first_numbers: dict[str, int] = {}
         self.lost = 0
+        self.failed = FailedCallbacks(self.get_logger())
+        self.fault: OSError | ValueError | None = None
         self.end_ns = sys.maxsize
         self.last_arrival = time.monotonic()
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
@@ -151,7 +154,19 @@ class Recorder(Node):
         self.lost += event.total_count_change
 
     def on_timer(self) -> None:
-        """Write messages that have waited long enough, and adapt to publishers that offer less."""
+        """Write messages that have waited long enough; the recording ends if that fails."""
+        try:
+            self.write_waiting()
+        except (OSError, ValueError) as error:
+            self.fault = error
+
+    def write_waiting(self) -> None:
+        """Write messages that have waited long enough, and adapt to publishers that offer less.
+
+        Raises:
+            OSError: The file cannot be written.
+            ValueError: The same, or the file was removed, replaced or truncated.
+        """
         if topics.TF in self.inputs and self.count_publishers(topics.TF):
             self.derives_transforms = False
         self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
@@ -275,15 +290,22 @@ def plain_qos(profile: QoSProfile) -> interfaces.Qos:
 
 
 def record(recorder: Recorder, signals: list[int]) -> None:
-    """Record until a signal arrives, and then until no message is in flight."""
+    """Record until a signal arrives, and then until no message is in flight.
+
+    Raises:
+        OSError: The file cannot be written.
+        ValueError: The same, or the file was removed, replaced or truncated.
+    """
     executor = SingleThreadedExecutor()
     executor.add_node(recorder)
-    while not signals:
-        executor.spin_once(timeout_sec=0.1)
+    while not signals and not recorder.fault:
+        recorder.failed.run_next(executor, timeout=0.1)
     recorder.end_ns = time.time_ns()
     recorder.last_arrival = time.monotonic()
-    while time.monotonic() - recorder.last_arrival < QUIET:
-        executor.spin_once(timeout_sec=0.05)
+    while time.monotonic() - recorder.last_arrival < QUIET and not recorder.fault:
+        recorder.failed.run_next(executor, timeout=0.05)
+    if recorder.fault:
+        raise recorder.fault
     recorder.close()
 
 
@@ -297,7 +319,7 @@ def main() -> int:
         recorder = Recorder()
         record(recorder, signals)
     except (ValueError, OSError, RuntimeError, ParameterException) as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
+        print(f"error: {shortened(str(error))}", file=sys.stderr, flush=True)
         if recorder is None:
             return 2  # wrong parameters
         recorder.report_failure(str(error))

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.base_node import declare
+from ampc_msgs_config.nodes.failed_callbacks import shortened
 from ampc_msgs_config.parameters import ASSUMED_LAG
 from ampc_msgs_config.vehicle_warnings import vehicle_warnings
 from ampc_ros.certificate import certificate_problem
@@ -256,8 +257,8 @@ class ConfiguredNode(ManagedNode):
                 choices, (loaded, self.loaded) = self.choices(changed), (self.loaded, None)
                 outcome = loaded[1] if loaded and loaded[0] == choices else None
                 self.reconfigure(outcome.result() if outcome else self.load_here(choices))
-        except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:  # the request is answered, whatever a file contains
+            return SetParametersResult(successful=False, reason=shortened(str(error)))
         self.supervisor.inject_qp_fault(changed.get("qp_fault", self.supervisor.qp_fault))
         return SetParametersResult(successful=True)
 
@@ -309,9 +310,9 @@ class ConfiguredNode(ManagedNode):
                 self.reconfigure((await self.load_elsewhere(choices)).result())
             else:
                 self.reconfigure(self.load_here(choices))
-        except ValueError as error:
-            self.get_logger().error(f"not reloaded: {error}")
-            response.success, response.message = False, str(error)
+        except Exception as error:  # the request is answered, whatever a file contains
+            response.success, response.message = False, shortened(str(error))
+            self.get_logger().error(f"not reloaded: {response.message}")
             return response
         response.success, response.message = True, f"configuration {self.supervisor.number}"
         return response

@@ -17,14 +17,17 @@ from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import spin
+from ampc_msgs_config.nodes.failed_callbacks import shortened
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
-from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
+from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
+from ampc_ros.nodes.initial_angle import START_WAIT, InitialAngle
 from ampc_ros.nodes.managed_node import lifecycle_state
 from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
+from ampc_ros.nodes.watchdog import WATCH_PERIOD, Watchdog, silence_limit
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.health import (
     Condition,
@@ -70,9 +73,12 @@ class ControllerNode(ConfiguredNode):
         self.reported = -math.inf
         self.commands = 0
         """Number of published commands."""
+        self.was_silent = False
+        """Whether a stop is requested because commands were missing; until it is taken back."""
         self.declare_choices()
         self.clock_check = SilentClock(self)
         self.playback = PlaybackAdvice()
+        self.initial, self.watchdog = InitialAngle(self), Watchdog(self, lambda: self.now_ns)
         # In real time, the clock that no other clock can stop.
         clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.on_diagnostics, clock=clock)
@@ -103,6 +109,8 @@ class ControllerNode(ConfiguredNode):
         inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:  # there, the order of odom and steering_state is undefined
             inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
+            self.initial.listen(self.supervisor.config.steering)
+            self.while_configured.callback(self.initial.close)
         reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
         self.while_configured.callback(self.destroy_service, reset_stop)
 
@@ -133,22 +141,31 @@ class ControllerNode(ConfiguredNode):
 
     def begin(self) -> None:
         """Start to steer from the angle in force; earlier plans are forgotten."""
-        if self.policy.record:
+        if self.policy.record and self.lock_step:
             self.supervisor.restart()
         self.policy.restart_timer()
-        self.supervisor.clear_stop()
-        self.outputs.request_stop(False)
+        self.withdraw_stop()
         if not self.lock_step:
+            self.initial.begin(self.supervisor.steering if self.commands else math.nan)
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
             self.while_active.callback(self.destroy_timer, self.timer)
+            self.watchdog.restart(START_WAIT)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            watch = self.create_timer(WATCH_PERIOD, self.on_watch, clock=steady)
+            self.while_active.callback(self.destroy_timer, watch)
         self.get_logger().info("ready")
 
     def finish(self) -> None:
         """Publish a safe last command in real time: the angle is held, a stop is requested."""
         if not self.lock_step:
-            self.outputs.request_stop(True)
-            self.outputs.hold()
+            self.stop_and_hold()
             self.store()
+            self.initial.listen(self.supervisor.config.steering)
+
+    def stop_and_hold(self) -> None:
+        """Request a stop and publish the last angle once more."""
+        self.outputs.request_stop(True)
+        self.outputs.hold()
 
     def publish_final(self) -> None:
         """Publish the safe last command at the end of the process."""
@@ -277,8 +294,9 @@ class ControllerNode(ConfiguredNode):
     def on_steering(self, message: JointState) -> None:
         """Use the measured angle."""
         try:
-            steering = self.supervisor.config.steering
-            self.supervisor.take_steering(ros.steering_angle(message, steering).value)
+            angle = ros.steering_angle(message, self.supervisor.config.steering).value
+            self.supervisor.take_steering(angle)
+            self.initial.on_measured(angle)
         except ValueError as error:
             self.reject(error)
 
@@ -300,11 +318,21 @@ class ControllerNode(ConfiguredNode):
             self.outputs.repeat()
 
     def step(self) -> None:
-        """Tick and publish, where inputs, life cycle and recorder allow it."""
+        """Tick and publish, where inputs, life cycle and recorder allow it.
+
+        In real time a tick that raises leaves the last angle and a requested stop.
+        """
         if not self.is_active or not self.supervisor.is_ready or self.unrecorded():
             return
+        if self.initial.is_pending and not self.has_started():
+            return
         start = time.perf_counter()
-        record = self.policy.tick(self.now_ns)
+        try:
+            record = self.policy.tick(self.now_ns)
+        except Exception:
+            if not self.lock_step:
+                self.stop_and_hold()
+            raise
         if record:
             timing = time.perf_counter() - start, self.policy.lateness_ns / NANOSECONDS
             self.commands += 1
@@ -316,10 +344,38 @@ class ControllerNode(ConfiguredNode):
             self.outputs.publish_memory(self.supervisor, self.commands)
             self.report_change(record)
 
+    def has_started(self) -> bool:
+        """Start from the angle of the wheel as soon as it is known."""
+        start = self.initial.choose()
+        if start is None:
+            return False
+        self.get_logger().info(start.origin)
+        if not math.isnan(start.angle):
+            self.supervisor.start_from(start.angle)
+        return True
+
+    def on_watch(self) -> None:
+        """Request a stop and hold the angle where inputs are complete but no command follows."""
+        if not self.supervisor.is_ready or self.wait_for_recorder:
+            self.watchdog.restart(START_WAIT)
+            return
+        before, late = self.watchdog.problem, self.supervisor.config.settings.state_late
+        problem = self.watchdog.check(silence_limit(self.supervisor.period, late))
+        if not problem:
+            return
+        self.was_silent = True
+        self.stop_and_hold()
+        if not self.watchdog.is_simulated:  # a system clock that went back delays the timer
+            self.timer.reset()
+        if not before:
+            self.get_logger().error(f"{problem}: a stop is requested")
+            self.on_diagnostics()
+
     def report_change(self, record: TickRecord) -> None:
         """Request a stop where that is new, and report a changed condition at once."""
-        self.outputs.request_stop(self.supervisor.stop_requested)
-        failure = self.supervisor.controller.failure
+        self.watchdog.on_command()
+        self.outputs.request_stop(self.supervisor.stop_requested or self.was_silent)
+        failure = shortened(self.supervisor.failure)
         if failure and failure != self.failure:
             self.get_logger().warning(failure)
         self.failure, self.trouble = failure, failure or self.trouble
@@ -341,6 +397,10 @@ class ControllerNode(ConfiguredNode):
         if self.playback.is_new(advice):
             self.get_logger().error(advice)
         problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified, advice]
+        if self.watchdog.problem:
+            level, sentence = ERROR, f"{self.watchdog.problem}: a stop is requested"
+        elif self.was_silent:
+            problems.append("a stop is requested after a silence; ~/reset_stop takes it back")
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         account = {"commands": self.commands, "missed_ticks": self.policy.missed}
@@ -350,10 +410,15 @@ class ControllerNode(ConfiguredNode):
             with suppress(ValueError):  # still no transform
                 self.request_path()
 
+    def withdraw_stop(self) -> None:
+        """Take back the request to stop, whatever its cause."""
+        self.supervisor.clear_stop()
+        self.was_silent = False
+        self.outputs.request_stop(False)
+
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take back the request to stop."""
-        self.supervisor.clear_stop()
-        self.outputs.request_stop(False)
+        self.withdraw_stop()
         response.success, response.message = True, "no stop is requested any more"
         return response
 

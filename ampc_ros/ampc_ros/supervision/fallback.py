@@ -41,6 +41,7 @@ from ampc_ros.supervision.feed_forward import FeedForward
     AGAINST_PATH,
     BACKWARDS,
     PATH_ENDS,
+    CONTROLLER_FAULT,
 ) = range(len(REASONS))
 
 PLAN_TIME = 0.5
@@ -71,6 +72,8 @@ class FallbackChain:
         """Whether the controller has no memory of its place on the path."""
         self.qp_fault = False
         """Fault injection: every solution counts as failed."""
+        self.fault = ""
+        """Exception of the controller in the newest step, in one line; empty: there was none."""
         self.restart(0.0)
 
     def restart(self, steering: float) -> None:
@@ -92,6 +95,7 @@ class FallbackChain:
             now_ns: Time of the command [ns].
         """
         plan = self.plan = self._step(state, path, in_force)
+        reasons = (CONTROLLER_FAULT,) * 2 if self.fault else (QP_NOT_SOLVED, PLAN_USED_UP)
         if reason := refusal(state, plan.diagnosis):
             return self.stop(reason, in_force, now_ns)
         if plan.diagnosis.converged:
@@ -101,16 +105,25 @@ class FallbackChain:
                 return self._command(SLACK, SLACK_IN_USE, plan.steering, in_force)
             return self._command(OPTIMAL, NO_REASON, plan.steering, in_force)
         if self._is_plan_usable(now_ns):
-            return self._command(SHIFTED_PLAN, QP_NOT_SOLVED, self.planned(now_ns), in_force)
+            return self._command(SHIFTED_PLAN, reasons[0], self.planned(now_ns), in_force)
         is_standing = state.v_x < HOLD_BELOW
         steering = in_force if is_standing else self.feed_forward.steering(state, path)
         self.angles = np.array([steering])
-        return self._command(FEED_FORWARD, PLAN_USED_UP, steering, in_force)
+        return self._command(FEED_FORWARD, reasons[1], steering, in_force)
 
     def _step(self, state: VehicleState, path: Path, in_force: float) -> Plan:
-        """Step the controller; a non-finite plan counts as not solved and resets the controller."""
-        plan, self.is_new_on_path = self.controller.step(state, path), False
-        if not is_finite(plan):
+        """Step the controller; an exception or a non-finite plan counts as not solved.
+
+        The controller is then reset.
+        """
+        self.fault = ""
+        try:
+            plan, self.is_new_on_path = self.controller.step(state, path), False
+            is_valid = is_finite(plan)
+        except Exception as error:  # a controller of a user may raise anything
+            self.fault = f"the controller raised {type(error).__name__}: {error}"
+            plan, is_valid = Plan(state.stamp_ns, in_force, 0.0, Diagnosis()), False
+        if not is_valid:
             self.controller.reset(in_force)
             self.is_new_on_path = True
             plan = plan._replace(prediction=None, angles=None)

@@ -14,6 +14,7 @@ from ampc_msgs_config.parameters import understeer_gradient
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.types import (
     LIMITS,
+    NANOSECONDS,
     OPTIMAL,
     SHIFTED_PLAN,
     STOP,
@@ -30,6 +31,7 @@ from ampc_ros.estimation.adaptation import Adaptation
 from ampc_ros.estimation.present_state import PresentState
 from ampc_ros.supervision.checks import StateFilter, check_path
 from ampc_ros.supervision.fallback import (
+    CONTROLLER_FAULT,
     NO_REASON,
     OFF_PATH,
     PATH_ENDS,
@@ -76,8 +78,10 @@ class Supervisor:
         self._state: Received[VehicleState] | None = None
         self._path: Received[Path] | None = None
         self._points: Array | None = None
-        self._measured = self._yaw_rate = math.nan
+        self._measured = self._yaw_rate = self._started_from = math.nan
         self._plan_start: PlanStart | None = None
+        self._commanded_ns: int | None = None
+        self._fault = ""
         self._clips = dict.fromkeys(LIMITS[1:], 0)
         controller = build_controller(config, source)
         self._present = PresentState(config, controller)
@@ -182,6 +186,11 @@ class Supervisor:
         return self._stop.no_path
 
     @property
+    def failure(self) -> str:
+        """Reason why the newest tick has no result of the controller; empty: it has one."""
+        return self._fault or self._chain.fault or self.controller.failure
+
+    @property
     def qp_fault(self) -> bool:
         """Whether fault injection makes every solution fail."""
         return self._chain.qp_fault
@@ -204,11 +213,23 @@ class Supervisor:
     def restart(self, steering: float | None = None) -> None:
         """Restart the controller, from the angle in force or from another angle [rad]."""
         self._resets += 1
+        self._restart(steering)
+
+    def start_from(self, steering: float) -> None:
+        """Start to steer from an angle [rad]; the next tick records it.
+
+        The first command may differ from it by what the guard allows in one period.
+        """
+        self._restart(steering)
+        self._started_from = steering
+
+    def _restart(self, steering: float | None) -> None:
         self._measured = math.nan
         self._deviation.approach()
         if steering is not None:
             self._guard.reset(steering)
             self._present.commands.reset(steering)
+            self._commanded_ns = None
         self._present.freeze()
         self._chain.restart(self.steering + self._offset)
 
@@ -365,15 +386,16 @@ class Supervisor:
             self.follow(path, now_ns, now_ns)
         self._path = Received(path, now_ns, now_ns)
         self.take_state(state, now_ns)
-        record = self.tick(now_ns)
+        record = self.tick(now_ns, self.period)
         assert record is not None
         return record.command
 
-    def tick(self, now_ns: int) -> TickRecord | None:
+    def tick(self, now_ns: int, elapsed: float | None = None) -> TickRecord | None:
         """Decide the command of this tick; None before the first valid state and path.
 
         Args:
             now_ns: Time of the node's clock [ns].
+            elapsed: Time since the last command for the guard; None: that of the clock [s].
         """
         state, path = self._state, self._path
         if state is None or path is None:
@@ -386,56 +408,41 @@ class Supervisor:
         if self._stop.resumes(now_ns, complete=complete) and settings.resume:
             self.clear_stop()
 
-        # Each measured angle is used once, by the controller and by the guard.
+        # Each measured angle is used once, by the controller and by the guard. The level of the
+        # fallback chain follows from the ages of state and path. After an exception, which is a
+        # fault of the program, the last plan is used and a stop requested.
         measured, self._measured = self._measured, math.nan
-        if not math.isnan(measured):
-            controller.observe_steering(measured + self._offset)
-
-        # The level of the fallback chain follows from the ages of state and path. A late state is
-        # continued by the model; beyond that the last plan is used.
-        stepped, missing, self._plan_start = False, NO_REASON, None
-        if self.is_state_late(now_ns):
-            missing = STATE_LOST if state.is_older(now_ns, settings.state_lost) else STATE_LATE
-        if missing and not self.can_predict(now_ns):
-            follow = self._chain.stop if missing == STATE_LOST else self._chain.advance
-            command = follow(missing, self.steering + self._offset, now_ns)
-        else:
-            stepped = True
-            is_measured = math.isnan(self._yaw_rate)
-            present = self._present.at(state.value, now_ns, is_measured=is_measured)
-            location = self._progress.locate(
-                self._centre(present),
-                path.value,
-                controller.check,
-                renew=self._chain.is_new_on_path,
-            )
-            self._chain.feed_forward.progress = self._progress.tracker
-            seen = location.seen(present)
-            in_force = self.steering + self._offset
-            command = self._chain.answer(seen, location.path, in_force, now_ns)
-            reason = self._monitor(present, location)
-            if command.reason == NO_REASON and (is_path_lost or self.no_path):
-                reason = reason or PATH_LOST
-            command = with_reason(command, reason, missing)
-            to_cg = self.config.base_link_to_cg
-            self._plan_start = PlanStart(location.path, location.s, present.v_x, to_cg)
+        self._plan_start = None
+        try:
+            if not math.isnan(measured):
+                controller.observe_steering(measured + self._offset)
+            command, stepped = self._answer(state.value, path.value, now_ns, is_path_lost)
+            self._fault = ""
+        except Exception as error:
+            self._fault = f"the controller failed: {type(error).__name__}: {error}"
+            in_force, stepped = self.steering + self._offset, False
+            command = self._chain.advance(CONTROLLER_FAULT, in_force, now_ns)
 
         # The estimated offset is taken off: from the road wheel's angle to the command.
         offset = self._offset
         angle, planned = command.steering - offset, command.planned_steering - offset
         command = command._replace(steering=angle, planned_steering=planned)
 
-        # The guard clips the command, whatever its source.
+        # The guard clips the command, whatever its source, by the time since the last one.
+        if elapsed is None:
+            elapsed = self._time_since_command(now_ns)
         guarded = self._guard.step(
             command.steering,
             command.steering_rate,
             state.value.v_x,
             None if math.isnan(measured) else measured,
+            elapsed,
         )
+        self._commanded_ns = now_ns
 
         # The controller continues from the commanded angle where that is not its own.
         if not stepped or guarded.steering != controller.steering - offset:
-            controller.take_over(guarded.steering + offset, stepped=stepped)
+            self._take_over(guarded.steering + offset, stepped=stepped)
         self._present.commands.store(guarded.steering, now_ns)
         if guarded.limit or command.rung != OPTIMAL:
             self._present.freeze()
@@ -446,6 +453,8 @@ class Supervisor:
         self._stop.drive |= command.reason in (OFF_PATH, PATH_ENDS) or (
             command.rung == STOP and command.reason not in (STATE_LATE, STATE_LOST)
         )
+        self._stop.drive |= bool(self._fault or self._chain.fault)
+        started_from, self._started_from = self._started_from, math.nan
         return TickRecord(
             command._replace(
                 stamp_ns=state.stamp_ns,
@@ -465,7 +474,56 @@ class Supervisor:
             understeer_gradient(self.assumed_car.vehicle),
             offset,
             self.assumed_car.vehicle[-1],
+            elapsed,
+            started_from,
         )
+
+    def _answer(
+        self, state: VehicleState, path: Path, now_ns: int, is_path_lost: bool
+    ) -> tuple[Command, bool]:
+        """Return the command before the guard, and whether the controller stepped.
+
+        A late state is continued by the model; beyond that the last plan is used.
+        """
+        missing, in_force = NO_REASON, self.steering + self._offset
+        if self.is_state_late(now_ns):
+            assert self._state
+            is_lost = self._state.is_older(now_ns, self.config.settings.state_lost)
+            missing = STATE_LOST if is_lost else STATE_LATE
+        if missing and not self.can_predict(now_ns):
+            follow = self._chain.stop if missing == STATE_LOST else self._chain.advance
+            return follow(missing, in_force, now_ns), False
+        is_measured = math.isnan(self._yaw_rate)
+        present = self._present.at(state, now_ns, is_measured=is_measured)
+        location = self._progress.locate(
+            self._centre(present), path, self.controller.check, renew=self._chain.is_new_on_path
+        )
+        self._chain.feed_forward.progress = self._progress.tracker
+        seen, in_force = location.seen(present), self.steering + self._offset
+        command = self._chain.answer(seen, location.path, in_force, now_ns)
+        reason = self._monitor(present, location)
+        if command.reason == NO_REASON and (is_path_lost or self.no_path):
+            reason = reason or PATH_LOST
+        to_cg = self.config.base_link_to_cg
+        self._plan_start = PlanStart(location.path, location.s, present.v_x, to_cg)
+        return with_reason(command, reason, missing), True
+
+    def _time_since_command(self, now_ns: int) -> float:
+        """Return the time since the last command; one period before the first one [s]."""
+        if self._commanded_ns is None:
+            return self.period
+        elapsed = (now_ns - self._commanded_ns) / NANOSECONDS
+        return self.period if abs(elapsed - self.period) < 1.0 / NANOSECONDS else elapsed
+
+    def _take_over(self, steering: float, *, stepped: bool) -> None:
+        """Continue the controller from another angle in force [rad]; after a fault, restart it."""
+        try:
+            self.controller.take_over(steering, stepped=stepped)
+            if self._fault:
+                self.controller.reset(steering)
+                self._chain.is_new_on_path = True
+        except Exception as error:
+            self._fault = f"the controller failed: {type(error).__name__}: {error}"
 
     def _monitor(self, state: VehicleState, location: Location) -> int:
         """Return the reason for a stop that state and path give, or NO_REASON."""

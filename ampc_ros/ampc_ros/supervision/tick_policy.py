@@ -114,6 +114,8 @@ class TickPolicy:
         self._is_deferred = False
         if not self.is_answered:
             self._is_slow, self._is_continued = self._is_continued, False
-        now_ns = self.supervisor.newest_ns if self.lock_step else now_ns
-        self.record = self.supervisor.tick(now_ns)
+        if self.lock_step:
+            self.record = self.supervisor.tick(self.supervisor.newest_ns, self.supervisor.period)
+        else:
+            self.record = self.supervisor.tick(now_ns)
         return self.record

@@ -2,9 +2,9 @@
 
 `python -m tests.workshop.fuzz.fuzz`, for example with `--target core --seed 2`. Targets: `core`,
 the node's core with changing configurations; `messages`, the same with ROS messages, a tenth of the
-inputs; `guard`, checks and guard alone; `gate`, the core of the gate. The same seed gives the same
-inputs on any number of workers. Exit code 1: a guarantee is violated; the command that repeats the
-drive is printed.
+inputs; `guard`, checks and guard alone; `gate`, the core of the gate; `parameters`, the services of
+all nodes, a hundredth. The same seed gives the same inputs on any number of workers. Exit code 1: a
+guarantee is violated; the command that repeats the drive is printed.
 """
 
 import argparse
@@ -20,12 +20,14 @@ from tests.workshop.fuzz.fuzz_core import core_drive
 from tests.workshop.fuzz.fuzz_gate import gate_drive
 from tests.workshop.fuzz.fuzz_guard import Violation, guard_drive
 from tests.workshop.fuzz.fuzz_messages import message_drive
+from tests.workshop.fuzz.fuzz_parameters import parameter_drive
 
 TARGETS: dict[str, tuple[Callable[[int, int, int], Counter[str]], float]] = {
     "core": (core_drive, 1.0),
     "guard": (guard_drive, 1.0),
     "gate": (gate_drive, 1.0),
     "messages": (message_drive, 0.1),
+    "parameters": (parameter_drive, 0.01),
 }
 """Function of a target, and its share of --inputs."""
 LENGTH = 5000
