@@ -45,7 +45,9 @@ class Simulation:
             options: Friction, noise and rng of the `Car`.
         """
         self.start_speed = speed_at(scenario.speed, 0.0)
-        self.car = Car(vehicle, scenario.start, self.start_speed, step=step_ns / NANOSECONDS, **options)
+        self.car = Car(
+            vehicle, scenario.start, self.start_speed, step=step_ns / NANOSECONDS, **options
+        )
         self.vehicle, self.scenario, self.step_ns = vehicle, scenario, step_ns
         self.elapsed_ns = 0
 

@@ -48,6 +48,8 @@ class Input:
         self.callback, self.profiles, self.options = callback, profiles, options
         self.subscriptions: list[Subscription] = []
         self.has_mismatch = False
+        self.info: dict[str, Any] = {}
+        """Times and sequence number of the newest message."""
         self._seen: deque[tuple[Any, Any, int]] = deque(maxlen=REMEMBERED)
         self._logged: set[str] = set()
         self._subscribe()
@@ -73,6 +75,7 @@ class Input:
             if key in self._seen:
                 return
             self._seen.append(key)
+        self.info = info
         self.callback(message)
 
     def on_incompatible(self, index: int, _: Any) -> None:

@@ -159,6 +159,8 @@ def preview_speed(
     left = math.inf if path.closed else (len(path.x) - 1) * path.spacing - s - STAND_OFF
     stopping = math.sqrt(2 * END_DECELERATION * max(left, 0.0))
     ahead = max(SPEED_PREVIEW * min(now, stopping), MIN_PREVIEW)
+    if not path.closed:
+        s = max(s, 0.0)  # `odom` at the start describes the rear axle, behind the first point
     soon = speed_at(profile, s + ahead if profile.over_distance else elapsed + SPEED_PREVIEW)
     return min(soon, math.sqrt(2 * END_DECELERATION * max(left - ahead, 0.0))), index
 

@@ -19,7 +19,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
-from ampc_msgs_config.types import NANOSECONDS, WARN, Array, TickRecord
+from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
@@ -101,6 +102,11 @@ class ControllerNode(ConfiguredNode):
         inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:  # there, the order of odom and steering_state is undefined
             inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
+        listed = [ros.STEERING_COMMAND, ros.REFERENCE_PATH]
+        self.sources = SoleSources(
+            self, {ros.ODOM: Odometry}, listed, self.on_conflict, lock_step=self.lock_step
+        )
+        self.while_configured.callback(self.sources.destroy)
         reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
         self.while_configured.callback(self.destroy_service, reset_stop)
 
@@ -135,6 +141,7 @@ class ControllerNode(ConfiguredNode):
             self.supervisor.restart()
         self.policy.restart_timer()
         self.supervisor.clear_stop()
+        self.sources.clear()
         self.outputs.request_stop(False)
         if not self.lock_step:
             self.timer = self.create_timer(self.supervisor.period, self.on_timer)
@@ -313,7 +320,8 @@ class ControllerNode(ConfiguredNode):
 
     def report_change(self, record: TickRecord) -> None:
         """Request a stop where that is new, and report a changed condition at once."""
-        self.outputs.request_stop(self.supervisor.stop_requested)
+        has_conflict = bool(self.sources.conflict)
+        self.outputs.request_stop(self.supervisor.stop_requested or has_conflict)
         failure = self.supervisor.controller.failure
         if failure and failure != self.failure:
             self.get_logger().warning(failure)
@@ -325,6 +333,12 @@ class ControllerNode(ConfiguredNode):
                 self.get_logger().warning(line)
             self.on_diagnostics()
 
+    def on_conflict(self) -> None:
+        """Request a stop after a second publisher of a topic, until it is taken back."""
+        if self.is_active:
+            self.outputs.request_stop(True)
+        self.on_diagnostics()
+
     def on_diagnostics(self) -> None:
         """Report health once a second and after a change."""
         if not self.is_active:
@@ -332,6 +346,8 @@ class ControllerNode(ConfiguredNode):
             self.report(self.now_ns, f"{state}: no commands are published", {}, WARN)
             return
         level, sentence = health(self.supervisor, self.policy.record, self.now_ns)
+        if self.sources.conflict:
+            level, sentence = ERROR, f"{self.sources.conflict}: a stop is requested"
         problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified]
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
@@ -345,6 +361,7 @@ class ControllerNode(ConfiguredNode):
     def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Take back the request to stop."""
         self.supervisor.clear_stop()
+        self.sources.clear()
         self.outputs.request_stop(False)
         response.success, response.message = True, "no stop is requested any more"
         return response

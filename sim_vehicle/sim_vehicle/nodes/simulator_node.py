@@ -25,7 +25,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN
 from sim_vehicle.closed_loop import STEP_NS
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
@@ -107,6 +108,11 @@ class SimulatorNode(BaseNode):
             self._listen(JointState, ros.STEERING_COMMAND, self.angle_of),
             self._listen(TwistStamped, ros.TARGET_SPEED, ros.target_speed),
         ]
+        heard = {ros.STEERING_COMMAND: JointState, ros.TARGET_SPEED: TwistStamped}
+        listed = [ros.ODOM, ros.CLOCK] if self.lock_step else [ros.ODOM]
+        self.sources = SoleSources(
+            self, heard, listed, self.on_diagnostics, lock_step=self.lock_step
+        )
 
     def _listen(self, kind: Any, topic: str, unpack: Callable[[Any], ros.Stamped]) -> Subscription:
         return self.create_subscription(
@@ -266,7 +272,8 @@ class SimulatorNode(BaseNode):
         missing = "" if self.lock_step else self.missing()
         if missing and self.is_driving:
             self.get_logger().warning(missing, throttle_duration_sec=5.0)
-        self.report(stamp_ns, missing, values)
+        conflict = self.sources.conflict
+        self.report(stamp_ns, conflict or missing, values, ERROR if conflict else WARN)
 
     def missing(self) -> str:
         """Return which commands are missing or old in real-time mode, or an empty text."""
