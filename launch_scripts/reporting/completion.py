@@ -16,8 +16,9 @@ SLOWEST_SECTION = 0.5
 """Speed that is assumed where a profile over the distance touches zero [m/s]..."""
 STOP_LENGTH = 0.5
 """... over less than this length; where it stays zero, the drive ends [m]."""
-MISSING_SHARE, MISSING_DISTANCE = 0.05, 5.0
-"""A drive is complete if it lacks no more than this share of its distance, or this distance [m]."""
+MISSING_SHARE, MISSING_DISTANCE = 0.1, 5.0
+"""A drive is complete if it lacks no more than this share of its distance, or this distance [m]. A
+car that was stopped before its end may lack no more than the distance."""
 AT_REST = 0.5
 """Speed below which a car counts as stopped [m/s]."""
 
@@ -40,7 +41,8 @@ def incompleteness(columns: BagColumns, record: DriveRecord, errors: Array) -> s
     if planned is None:
         is_short = is_stopped and bool(cause)
     else:
-        is_short = planned - driven > max(MISSING_SHARE * planned, MISSING_DISTANCE)
+        share = 0.0 if is_stopped and cause else MISSING_SHARE
+        is_short = planned - driven > max(share * planned, MISSING_DISTANCE)
     if not is_short:
         return ""
     what = "the car stopped" if is_stopped else "the drive ended"

@@ -16,9 +16,9 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time_source import USE_SIM_TIME_NAME
 
-from ampc_msgs_config.nodes.qos import NEWEST
 from ampc_msgs_config.topics import CLOCK
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -26,6 +26,8 @@ LIST_PERIOD = 0.5
 """Wall time between two looks at the list of publishers [s]."""
 FALLS, FALL_WINDOW = 2, 1.0
 """Number of falls of the sequence number within this time from which two publishers are alive."""
+EACH = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Every message counts: of two that arrive together, the newest would hide the other one."""
 ANONYMOUS = "_"
 """Begin of the names of publishers whose node is not known (yet)."""
 CONFLICT_EXIT = 1
@@ -65,7 +67,7 @@ class SoleSources:
         for topic, kind in heard.items():
             on_message: Callable[..., None] = partial(self.on_message, topic)
             self.subscriptions.append(
-                node.create_subscription(kind, topic, on_message, NEWEST, raw=True)
+                node.create_subscription(kind, topic, on_message, EACH, raw=True)
             )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.timer = node.create_timer(LIST_PERIOD, self.look_at_lists, clock=steady)

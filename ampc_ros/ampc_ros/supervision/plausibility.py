@@ -25,6 +25,7 @@ DRIFT_SHARE = 0.05
 SPEED_STEP = 1.0
 """Change of the velocity between two states from which its moment matters: a simulated car starts
 with the speed of its drive [m/s]."""
+REPEATED = -1.0
 MOST_STATES = 1000
 """Largest number of states in a window."""
 MAX_POSITION = 1.0e8
@@ -77,7 +78,8 @@ class WindowSample(NamedTuple):
     distance: float = 0.0
     """[m]."""
     unknown: float = 0.0
-    """Share of the newest step of the velocity whose moment between two states is unknown [m]."""
+    """Largest difference by the newest step of the velocity, whose moment between two states is
+    unknown [m]; REPEATED: after another step in the same window, which is no start of a car."""
 
 
 class StateHistory:
@@ -142,7 +144,7 @@ class StateHistory:
             (a, b), (c, d) = velocity(last), velocity(state)
             dx, dy = (a + c) / 2 * dt, (b + d) / 2 * dt
             if (change := math.hypot(c - a, d - b)) > SPEED_STEP:
-                unknown = change / 2 * dt
+                unknown = change / 2 * dt if unknown == self.window[0].unknown else REPEATED
             distance += math.hypot(dx, dy)
             self._integrated = WindowSample(state, x + dx, y + dy, distance, unknown)
         return self._integrated
@@ -163,7 +165,7 @@ class StateHistory:
             state.x - start.x - (now.x - first.x), state.y - start.y - (now.y - first.y)
         )
         most = DRIFT + DRIFT_SHARE * (now.distance - first.distance)
-        most += now.unknown if now.unknown != first.unknown else 0.0
+        most += max(now.unknown, 0.0) if now.unknown != first.unknown else 0.0
         return drift, most, time_between(start, state)
 
 

@@ -188,7 +188,8 @@ class SimulatorNode(BaseNode):
             pause = due_ns / NANOSECONDS
             self.get_logger().warning(f"no state for {pause:.1f} s: the car stood still meanwhile")
             self.start_ns += due_ns - STEP_NS
-            due_ns = STEP_NS
+            due_ns, now_ns = STEP_NS, self.now_ns  # the commands of the pause are still to come
+            self.answers = {t: a._replace(stamp_ns=now_ns) for t, a in self.answers.items()}
         if due_ns >= STEP_NS:
             self.check_silence()
             self.move(due_ns // STEP_NS * STEP_NS)

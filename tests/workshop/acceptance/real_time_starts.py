@@ -2,7 +2,8 @@
 
 `python -m tests.workshop.acceptance.real_time_starts --starts 20 --load 2` starts `start.py` on a
 road with bends, 20 times at each speed, while two processes keep the cores busy. It writes a table.
-Exit code 0: all drives were completed, without a rejected state and without a stop request.
+Exit code 0: all drives were completed without a rejected state. A stop request that did not shorten
+the drive, such as that after its end, does not count.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import csv
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -52,9 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for each in busy:
             each.kill()
             each.wait()
-    heads = ("speed [m/s]", "result", "distance [m]", "largest error [m]", "rejected", "stops")
-    console.print(terminal_table(heads, rows, "rlr"))
-    good = [row for row in rows if row[1] == "completed" and not row[4] and not row[5]]
+    heads = ("speed [m/s]", "result", "distance [m]", "largest error [m]", "rejected", "stop")
+    console.print(terminal_table(heads, rows, "rlrrrl"))
+    good = [row for row in rows if row[1] == "completed" and not row[4]]
     console.print(f"{len(good)} of {len(rows)} starts drove the whole path as planned")
     return 0 if len(good) == len(rows) else 1
 
@@ -70,12 +72,13 @@ def started(folder: Path, speed: float) -> tuple[Any, ...]:
         (drive,) = json.loads((run / "report.json").read_text(encoding="utf-8"))["drives"]
         rejected = int(read_columns(run / "bag").tick["rejected_inputs"][-1, 1])
     except (OSError, ValueError):
-        return speed, f"exit code {done.returncode}: {done.stdout[-200:]}", 0.0, 0.0, 0, 0
+        return speed, f"exit code {done.returncode}: {done.stdout[-200:]}", 0, 0, 0, "none"
     summary = drive["summary"]
     ended = result["ended"] if result["ended"] != "completed" or not done.returncode else "code"
     error = f"{summary['max_cross_track_error']:.3f}"
     distance = f"{summary['distance']:.0f}"
-    return speed, ended, distance, error, rejected, summary["stop_requests"]
+    cause = re.search(r"a stop is requested, reason: (\w+)", done.stdout)
+    return speed, ended, distance, error, rejected, cause[1] if cause else "none"
 
 
 def write_road(file: Path, speed: float) -> None:
