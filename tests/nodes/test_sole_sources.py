@@ -123,9 +123,11 @@ def test_a_second_car_requests_a_stop_and_both_nodes_are_named(
     add(executor, node)
     stops: list[bool] = []
     listener = Node("listener")
-    listener.create_subscription(
-        Bool, ros.STOP_REQUEST, lambda message: stops.append(message.data), ros.LATCHED
-    )
+
+    def on_stop(message: Bool) -> None:
+        stops.append(message.data)
+
+    listener.create_subscription(Bool, ros.STOP_REQUEST, on_stop, ros.LATCHED)
     add(executor, listener, Source("first_car"), Source("second_car"))
     spin_until(executor, lambda: bool(node.sources.conflict))
     report = report_of(node)

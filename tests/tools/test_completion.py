@@ -20,7 +20,7 @@ from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 
 CAR = load_vehicle_file(find("vehicles", "ordinary"))
-TIME = np.arange(0.0, 20.0, 0.1)
+TIME: Array = np.arange(0.0, 20.0, 0.1)
 OFF_PATH, STATE_LOST = REASONS.index("off_path"), REASONS.index("state_lost")
 
 
@@ -39,7 +39,7 @@ def test_a_drive_of_a_shipped_scenario_covers_the_distance_of_its_plan(name: str
 
 X = np.arange(0.0, 81.0, 2.0)
 RING = np.arange(0.0, 2 * np.pi, 0.05)
-ROADS: dict[str, tuple[Array, Array, Array, int]] = {
+ROADS: dict[str, tuple[Any, Any, Any, int]] = {
     "constant speed": (X, np.sin(X / 15), np.full(len(X), 7.0), 1),
     "from a standstill": (X, np.sin(X / 15), np.minimum(np.sqrt(3.0 * X), 8.0), 1),
     "through a standstill": (X, np.sin(X / 15), np.where(X == 40.0, 0.0, 6.0), 1),
@@ -71,7 +71,7 @@ def judged(speed: Array, *, scenario: str = "straight", error: float = 0.0, **ti
 
 def braked(at: float) -> Array:
     """Return the speed of a drive at 9 m/s that stops with 2 m/s^2 from a time on [s]."""
-    return np.clip(9.0 - 2.0 * np.maximum(TIME[:150] - at, 0.0), 0.0, 9.0)
+    return np.asarray(np.clip(9.0 - 2.0 * np.maximum(TIME[:150] - at, 0.0), 0.0, 9.0))
 
 
 def on_from(time: float, value: float = 1.0) -> Array:
@@ -81,13 +81,13 @@ def on_from(time: float, value: float = 1.0) -> Array:
 
 def test_a_complete_drive_is_complete_also_with_a_stop_request_after_its_end() -> None:
     assert judged(np.full(150, 9.0)) == ""
-    stop = {"stop_requested": on_from(14.8), "reason": on_from(14.8, STATE_LOST)}
+    stop: dict[str, Any] = {"stop_requested": on_from(14.8), "reason": on_from(14.8, STATE_LOST)}
     assert judged(np.full(150, 9.0), **stop) == ""
 
 
 @pytest.mark.parametrize("at", [0.8, 6.0, 9.0, 11.0])
 def test_a_car_that_stopped_is_named_with_distance_and_cause(at: float) -> None:
-    stop = {"stop_requested": on_from(at), "reason": on_from(at, OFF_PATH)}
+    stop: dict[str, Any] = {"stop_requested": on_from(at), "reason": on_from(at, OFF_PATH)}
     distance = 9.0 * at + 81.0 / 4.0
     said = judged(braked(at), **stop)
     assert said == (
@@ -105,5 +105,5 @@ def test_a_drive_that_ends_early_or_beside_its_path_is_not_complete() -> None:
 
 def test_without_a_plan_a_standing_car_alone_is_no_fault() -> None:
     assert judged(braked(3.0), scenario="") == ""
-    after = {"stop_requested": on_from(9.0), "reason": on_from(9.0, STATE_LOST)}
+    after: dict[str, Any] = {"stop_requested": on_from(9.0), "reason": on_from(9.0, STATE_LOST)}
     assert judged(braked(3.0), scenario="", **after) == ""
