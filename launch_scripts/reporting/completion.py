@@ -19,7 +19,7 @@ STOP_LENGTH = 0.5
 MISSING_SHARE, MISSING_DISTANCE = 0.1, 5.0
 """A drive is complete if it lacks no more than this share of its distance, or this distance [m]. A
 car that was stopped before its end may lack no more than the distance."""
-AT_REST = 0.5
+STOPPED_BELOW = 0.5
 """Speed below which a car counts as stopped [m/s]."""
 
 
@@ -37,7 +37,7 @@ def incompleteness(columns: BagColumns, record: DriveRecord, errors: Array) -> s
     of_all = f" of {planned:.0f} m" if planned is not None else ""
     if len(known) and abs(known[-1]) > LOST:
         return f"the car is {abs(known[-1]):.0f} m beside its path after {driven:.0f} m{of_all}"
-    is_stopped = bool(record.speed[-1] < AT_REST)
+    is_stopped = bool(record.speed[-1] < STOPPED_BELOW)
     if planned is None:
         is_short = is_stopped and bool(cause)
     else:
@@ -58,7 +58,7 @@ def stop_cause(columns: BagColumns, record: DriveRecord) -> str:
         if rows is None or not len(rows) or not rows[-1, 1]:
             continue
         begin = rows[len(rows) - int(np.argmin(np.append(rows[::-1, 1] > 0, False))), 0]
-        if np.interp(begin, record.time, record.speed) < AT_REST:
+        if np.interp(begin, record.time, record.speed) < STOPPED_BELOW:
             continue
         reasons = columns.tick.get("reason", np.empty((0, 2)))
         at = reasons[(reasons[:, 0] >= begin) & (reasons[:, 1] > 0), 1]

@@ -12,7 +12,7 @@ from rclpy.time import Time
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.supervision.checks import StateFilter
-from sim_vehicle.nodes.simulator_node import LONGEST_STEP, SimulatorNode
+from sim_vehicle.nodes.simulator_node import LONGEST_CATCH_UP, SimulatorNode
 from tests.ros_nodes import add, ros_context
 
 PERIOD_NS = NANOSECONDS // 50
@@ -139,5 +139,5 @@ def test_a_car_stands_still_during_a_long_pause_and_continues_after_it(started: 
     after = started.states[-1]
     assert after.stamp_ns - before.stamp_ns == pytest.approx(600e9, abs=1e8)
     assert math.dist(before[1:3], after[1:3]) < 0.2
-    started.tick(LONGEST_STEP - 0.1)
+    started.tick(LONGEST_CATCH_UP - 0.1)
     assert math.dist(started.states[-1][1:3], after[1:3]) == pytest.approx(4.8, abs=0.2)

@@ -20,7 +20,7 @@ from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 
 CAR = load_vehicle_file(find("vehicles", "ordinary"))
-TIME: Array = np.arange(0.0, 20.0, 0.1)
+TIME: Array = np.array([k / 10 for k in range(200)])
 OFF_PATH, STATE_LOST = REASONS.index("off_path"), REASONS.index("state_lost")
 
 

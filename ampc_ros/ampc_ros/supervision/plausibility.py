@@ -22,7 +22,7 @@ DRIFT = 0.5
 """Largest difference between pose and integrated twist over the window [m]..."""
 DRIFT_SHARE = 0.05
 """... plus this share of the distance driven in the window."""
-SPEED_STEP = 1.0
+VELOCITY_STEP = 1.0
 """Change of the velocity between two states from which its moment matters: a simulated car starts
 with the speed of its drive [m/s]."""
 REPEATED = -1.0
@@ -143,7 +143,7 @@ class StateHistory:
             dt = time_between(last, state)
             (a, b), (c, d) = velocity(last), velocity(state)
             dx, dy = (a + c) / 2 * dt, (b + d) / 2 * dt
-            if (change := math.hypot(c - a, d - b)) > SPEED_STEP:
+            if (change := math.hypot(c - a, d - b)) > VELOCITY_STEP:
                 unknown = change / 2 * dt if unknown == self.window[0].unknown else REPEATED
             distance += math.hypot(dx, dy)
             self._integrated = WindowSample(state, x + dx, y + dy, distance, unknown)

@@ -35,7 +35,7 @@ PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_PERIOD = 0.02
 """Period of the states in real-time mode [s]."""
-LONGEST_STEP = 0.5
+LONGEST_CATCH_UP = 0.5
 """Longest time that is caught up at once; the car stands still during a longer pause of this
 process or jump of the clock [s]."""
 MAX_SILENCE = 0.5
@@ -174,7 +174,7 @@ class SimulatorNode(BaseNode):
         self.send()
 
     def on_real_time(self) -> None:
-        """Advance under the newest commands; a pause longer than LONGEST_STEP is left out."""
+        """Advance under the newest commands; a pause longer than LONGEST_CATCH_UP is left out."""
         if not self.is_driving:
             self.wait_at_start()
             return
@@ -184,7 +184,7 @@ class SimulatorNode(BaseNode):
             self.place_at_start()
             self.waiting_since = time.monotonic()
             return
-        if due_ns > LONGEST_STEP * NANOSECONDS:
+        if due_ns > LONGEST_CATCH_UP * NANOSECONDS:
             pause = due_ns / NANOSECONDS
             self.get_logger().warning(f"no state for {pause:.1f} s: the car stood still meanwhile")
             self.start_ns += due_ns - STEP_NS
