@@ -46,6 +46,8 @@ DRIVING, STANDING = 1.0, 0.1
 """Speeds above and below which a car drives or stands [m/s]."""
 SETTLED = 2.0
 """Time for which a car must drive or stand [s]."""
+COMPILATION = 300.0
+"""Longest time of the first start, with compilation [s]."""
 RESET_PERIOD = 2.0
 """Time between two requests to take back all stops [s]."""
 
@@ -102,6 +104,9 @@ class Restarts:
         self.road.write_text("x_m,y_m,v_mps\n" + rows, encoding="utf-8")
         self.watch = CarWatch()
         self.start(tuple(MODULES))
+        until = time.monotonic() + COMPILATION
+        while not all(map(self.is_ready, MODULES)) and time.monotonic() < until:
+            time.sleep(0.1)
         self.wait("the first start", lambda: self.watch.settled(-math.inf) == "drives")
 
     def start(self, names: Sequence[str]) -> None:
