@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.waiting import TIMEOUT
 from tests.workshop.proofs import prove_restarts
 from tests.workshop.proofs.prove_restarts import VICTIMS, main
 
@@ -18,5 +19,7 @@ def test_the_car_drives_or_stands_after_nodes_were_killed_and_started_again(
     tmp_path: object,
 ) -> None:
     monkeypatch.setattr(prove_restarts, "VICTIMS", [names])
-    assert main(["--moments", "1", "--seed", "3", "--logs", str(tmp_path)]) == 0
-    assert f"1: {' and '.join(names)} killed: the car " in capsys.readouterr().out
+    code = main(["--moments", "1", "--patience", str(TIMEOUT), "--logs", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert code == 0, said
+    assert f"1: {' and '.join(names)} killed: the car " in said
