@@ -1,8 +1,8 @@
 """Drive once over ROS 2: simulator, planner, controller, gate and recorder; write the result.
 
 `python launch_scripts/start.py --scenario sc2`, or `--path my_road.csv --speed 9`. The exit code
-is 0 after a complete drive, 1 if a node died, 2 if an option is invalid, 3 if a node stopped
-publishing, 130 after Ctrl-C, 143 after SIGTERM.
+is 0 after a complete drive, 1 if a node died or the car did not reach the end, 2 if an option is
+invalid, 3 if a node stopped publishing, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from launch_scripts.run.options import (
     read_run_options,
     write_path,
 )
-from launch_scripts.run.processes import Processes, ros_environment
+from launch_scripts.run.processes import COMPLETED, Processes, ros_environment
 from sim_vehicle.parameters import load_vehicle_file
 
 START_TIME_OUT = 180.0
@@ -44,7 +44,8 @@ STOP_REQUESTED = "a stop is requested"
 """In the log line of the controller about a stop request."""
 DISPENSABLE = {"markers"}
 """Nodes whose end does not end the drive."""
-NODE_DIED, WRONG_SET_UP = 1, 2
+NOT_COMPLETED = NODE_DIED = 1
+WRONG_SET_UP = 2
 """Exit codes; a node with invalid options also ends with WRONG_SET_UP."""
 
 
@@ -111,7 +112,7 @@ def drive_run(run: Run, console: Console) -> RunEnded:
                 raise
     except RunEnded as ended:
         return ended
-    return RunEnded("completed", 0)
+    return RunEnded(COMPLETED, 0)
 
 
 def start_nodes(nodes: Processes, run: Run) -> None:
@@ -228,8 +229,10 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
     from launch_scripts.bags.recovery import default_output, recover
     from launch_scripts.run.result import write_result
 
+    code = ended.code
     try:
-        console.print(write_result(run, str(ended)))
+        table, incomplete = write_result(run, str(ended))
+        console.print(table)
         print_stop_request(run.folder / "log" / "controller.log", console)
         files = "bag, report.html, report.json, metrics.json, logs"
         console.print(f"{files}: {run.folder}", markup=False)
@@ -245,8 +248,11 @@ def finish(run: Run, ended: RunEnded, console: Console) -> int:
             shutil.rmtree(run.folder)
         else:
             console.print(f"no result: {error}; logs: {run.folder / 'log'}", markup=False)
-        return ended.code or NODE_DIED
-    return ended.code
+        return code or NODE_DIED
+    if incomplete and not code:
+        print_error(console, ValueError(f"not completed: {incomplete}"))
+        code = NOT_COMPLETED
+    return code
 
 
 if __name__ == "__main__":

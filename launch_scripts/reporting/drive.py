@@ -27,6 +27,7 @@ from ampc_msgs_config.validation import Checked, number, units_of
 from ampc_ros.supervision.guard import bounds
 from launch_scripts.bags.bag_columns import BagColumns, read_columns
 from launch_scripts.bags.drive_log import answered, states_of
+from launch_scripts.reporting.completion import incompleteness
 
 T = TypeVar("T", bound=Checked)
 NO_POINTS = np.empty((0, 2))
@@ -223,6 +224,8 @@ class JudgedDrive(NamedTuple):
     """Missing or unusual data, one sentence each."""
     path_noise: float
     """Largest noise of the points of a reference path [m]; nan without one."""
+    incomplete: str = ""
+    """Why the drive did not reach its end; empty: it did, or is unknown."""
 
     @property
     def centres(self) -> Array:
@@ -291,8 +294,10 @@ def judge_columns(
     if lost := lost_ticks(numbers, notes):  # the controller has not missed them
         metrics["missed_ticks"] = max((metrics["missed_ticks"] or 0) - lost, 0)
     verdicts = check_thresholds(thresholds, metrics) if thresholds else []
+    if incomplete := incompleteness(columns, record, error):
+        notes.append(f"Not completed: {incomplete}.")
     return JudgedDrive(
-        name, columns, context, record, states, error, metrics, verdicts, notes, noise
+        name, columns, context, record, states, error, metrics, verdicts, notes, noise, incomplete
     )
 
 

@@ -79,6 +79,7 @@ def report_json(drives: Sequence[JudgedDrive], thresholds: str) -> dict[str, Any
                 "start_ns": drive.columns.start_ns,
                 "controller": drive.context.controller or None,
                 "period": drive.record.period,
+                "incomplete": drive.incomplete or None,
                 "summary": drive.metrics,
                 "verdicts": [each._asdict() | {"passed": each.passed} for each in drive.verdicts],
                 "notes": drive.notes,

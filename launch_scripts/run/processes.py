@@ -19,6 +19,8 @@ SET_PARENT_DEATH_SIGNAL = 1
 LIBC = ctypes.CDLL(None)
 PROFILES = Path(__file__).with_name("fastdds.xml")
 """Settings of the middleware for one computer."""
+COMPLETED = "completed"
+"""Reason of a run that the simulator has ended."""
 LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 

@@ -15,14 +15,18 @@ from launch_scripts.reporting.drive import judge_columns, load_car, run_context_
 from launch_scripts.reporting.page import write_report
 from launch_scripts.reporting.pages import terminal_table, to_json
 from launch_scripts.run.options import Run
+from launch_scripts.run.processes import COMPLETED
 
 
-def write_result(run: Run, ended: str) -> Table:
-    """Write `metrics.json` and `report.html` of a run; return the table of its metrics.
+def write_result(run: Run, ended: str) -> tuple[Table, str]:
+    """Write `metrics.json` and `report.html` of a run.
 
     Args:
         run: Its folder contains the bag.
         ended: Reason why the run ended.
+
+    Returns:
+        Table of its metrics, and why the drive did not reach its end; empty: it did.
 
     Raises:
         ValueError: The bag contains no drive.
@@ -34,18 +38,21 @@ def write_result(run: Run, ended: str) -> Table:
     log = drive_log(columns)
     to_cg = vehicle.chassis.cg_to_rear_axle
     metrics = evaluate_drive(log.drive, log.path, to_cg, settings.sample_time)
+    context = run_context_of(columns, vehicle, settings, options["controller"])
+    drive = judge_columns(columns, run.folder.resolve().name, context)
+    if ended == COMPLETED and drive.incomplete:
+        ended = f"not completed: {drive.incomplete}"
     content = {"run": options, "ended": ended, "version": __version__, "metrics": metrics}
     text = json.dumps(to_json(content), indent=2, allow_nan=False) + "\n"
     (run.folder / "metrics.json").write_text(text, encoding="utf-8")
-    context = run_context_of(columns, vehicle, settings, options["controller"])
-    drive = judge_columns(columns, run.folder.resolve().name, context)
     write_report(run.folder / "report.html", [drive], "", f"Written after a run of {run.title}")
     rows = [
         (METRICS[key].title, f"{metrics[key] * METRICS[key].scale:.4g}", METRICS[key].unit)
         for key in RESULT
         if math.isfinite(metrics[key])
     ]
-    for key in ("fall_backs", "unsolved_ticks"):
+    for key in ("distance", "fall_backs", "unsolved_ticks", "stop_requests"):
         if count := drive.metrics[key]:
             rows.append((METRICS[key].title, f"{count:.4g}", METRICS[key].unit))
-    return terminal_table(("quantity", "value", "unit"), rows, "lrl", run.title)
+    table = terminal_table(("quantity", "value", "unit"), rows, "lrl", run.title)
+    return table, drive.incomplete

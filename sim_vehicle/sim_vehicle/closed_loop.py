@@ -13,6 +13,7 @@ from ampc_msgs_config.scenarios.wind import wind_of_steps
 from ampc_msgs_config.types import NANOSECONDS, Command, Plan, VehicleState
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle
+from sim_vehicle.vehicle import CAR_V_X
 
 STEP_NS = 5_000_000
 """Default integration step [ns]."""
@@ -43,8 +44,10 @@ class Simulation:
             step_ns: Integration step [ns].
             options: Friction, noise and rng of the `Car`.
         """
-        speed = speed_at(scenario.speed, 0.0)
-        self.car = Car(vehicle, scenario.start, speed, step=step_ns / NANOSECONDS, **options)
+        self.start_speed = speed_at(scenario.speed, 0.0)
+        self.car = Car(
+            vehicle, scenario.start, self.start_speed, step=step_ns / NANOSECONDS, **options
+        )
         self.vehicle, self.scenario, self.step_ns = vehicle, scenario, step_ns
         self.elapsed_ns = 0
 
@@ -52,6 +55,10 @@ class Simulation:
     def finished(self) -> bool:
         """Whether the duration of the scenario has elapsed."""
         return self.elapsed_ns >= round(self.scenario.duration * NANOSECONDS)
+
+    def set_speed(self, speed: float) -> None:
+        """Let the car stand at its start, or roll, with another speed than the scenario's [m/s]."""
+        self.car.state[CAR_V_X] = speed
 
     def wind(self) -> tuple[float, float]:
         """Return the present wind in `map` [m/s]."""

@@ -4,9 +4,11 @@ import math
 from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
-from ampc_ros.nodes.braking import COMFORTABLE, Braking
+from ampc_ros.nodes.braking import COMFORTABLE, OLD, Braking, StopRequests
 
 TICK_NS = NANOSECONDS // 50
 
@@ -56,3 +58,42 @@ def test_a_clock_that_goes_back_does_not_speed_up() -> None:
     braking = Braking()
     braking.limited(20.0, state(100), stop=True)
     assert braking.limited(20.0, state(50), stop=True) == 12.0
+
+
+@given(st.lists(st.integers(0, 3), max_size=40))
+def test_a_stop_is_in_force_while_the_latest_message_of_any_publisher_requests_it(
+    turns: list[int],
+) -> None:
+    requests, published = StopRequests(), dict.fromkeys(range(4), 0)
+    for publisher in turns:  # each publishes changes only, and begins with False
+        published[publisher] += 1
+        number = published[publisher]
+        requests.receive(number % 2 == 0, number, 0.001)
+        latest = [each > 0 and each % 2 == 0 for each in published.values()]
+        assert requests.in_force == any(latest)
+
+
+@pytest.mark.parametrize("later", [(1, 0.0), (2, 0.0), (5, 2 * OLD), (9, 0.0)])
+def test_a_stop_is_not_taken_back_by_another_or_an_old_message(later: tuple[int, float]) -> None:
+    requests = StopRequests()
+    requests.receive(False, 3, 0.0)
+    requests.receive(True, 4, 0.0)
+    requests.receive(False, *later)
+    assert requests.in_force
+    requests.receive(False, 5, 0.0)
+    assert not requests.in_force
+
+
+def test_a_stop_remains_where_it_is_ambiguous_whose_message_takes_it_back() -> None:
+    requests = StopRequests()
+    for requested, number in ((True, 2), (False, 2), (False, 3)):  # the second one repeats itself
+        requests.receive(requested, number, 0.0)
+    assert requests.in_force
+
+
+def test_a_repeated_request_is_taken_back_at_once() -> None:
+    requests = StopRequests()
+    for number in range(7, 12):
+        requests.receive(True, number, 0.0)
+    requests.receive(False, 12, 0.0)
+    assert not requests.in_force

@@ -139,6 +139,14 @@ def test_an_odom_that_falls_silent_is_reported_at_once_and_logged_rung_by_rung(
     assert last.stamp_ns < heard[-1][1]
 
 
+def receive_stop_request(node: PlannerNode, requested: bool, number: int) -> None:
+    """Pass a stop request on, as its subscription does."""
+    times = {"source_timestamp": 0, "received_timestamp": 0}
+    info = times | {"publication_sequence_number": number}
+    node.inputs.topics[ros.STOP_REQUEST].info = info
+    node.on_stop_request(Bool(data=requested))
+
+
 def test_the_planner_says_what_it_waits_for_and_that_it_brakes() -> None:
     with ros_context(use_sim_time="true", scenario="straight") as executor:
         node = PlannerNode()
@@ -147,14 +155,14 @@ def test_the_planner_says_what_it_waits_for_and_that_it_brakes() -> None:
         assert world.at(1.1, node) == (OK, "OK")
         level, said = world.at(1.7, node, odom=False)
         assert (level, said) == (STALE, "odom is 0.6 s old: no target speed is published")
-        node.on_stop_request(Bool(data=True))
+        receive_stop_request(node, True, 2)
         assert world.at(1.8, node) == (WARN, "a stop is requested: braking")
         values = {each.key: float(each.value) for each in world.last.values}
         assert values.pop("target_speed") == pytest.approx(
             8.9, abs=0.11
         )  # braking for 0.1 s at most
         assert values == {"stop_requested": 1.0, "rejected_inputs": 0.0}
-        node.on_stop_request(Bool(data=False))
+        receive_stop_request(node, False, 3)
         assert world.at(1.9, node) == (OK, "OK")
 
 
@@ -170,7 +178,7 @@ def test_the_car_is_braked_too_where_the_state_is_what_was_lost(
 
         monkeypatch.setattr(node.speeds, "publish", note)
         world.at(1.1, node)
-        node.on_stop_request(Bool(data=True))
+        receive_stop_request(node, True, 2)
         for tick in range(1, 31):
             world.at(2.0 + tick / 10, node, odom=False)
             node.on_braking_timer()

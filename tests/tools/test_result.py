@@ -89,7 +89,8 @@ def test_what_is_not_defined_on_a_path_is_null_in_the_file_and_not_in_the_table(
     size = load_vehicle_file(find("vehicles", "paper")).size
     run = Run(tmp_path, choose_scenario(Route("circle"), size), chosen)
     write_bag(run.bag, {"": drive_messages(CIRCLE)})
-    table = write_result(run, "interrupted by [SIGINT]")
+    table, incomplete = write_result(run, "interrupted by [SIGINT]")
+    assert incomplete == ""
     result = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
     assert result["ended"] == "interrupted by [SIGINT]"
     assert result["run"]["controller"] == "preview"

@@ -52,6 +52,8 @@ class Input:
         self.events = events
         self.subscriptions: list[Subscription] = []
         self.has_mismatch = False
+        self.info: dict[str, Any] = {}
+        """Times and sequence number of the newest message."""
         self._seen: deque[tuple[Any, Any, int]] = deque(maxlen=REMEMBERED)
         self._logged: set[str] = set()
         self._subscribe()
@@ -78,6 +80,7 @@ class Input:
             if key in self._seen:
                 return
             self._seen.append(key)
+        self.info = info
         self.callback(message)
 
     def on_incompatible(self, index: int, _: Any) -> None:

@@ -40,6 +40,8 @@ STAND_OFF = 1.5
 gravity, which is projected onto the path, lies ahead of it [m]."""
 END_DECELERATION = 1.5
 """Deceleration at the end of an open path, below that of a stop request [m/s^2]."""
+MOVING = 0.3
+"""Speed from which a car has left its start [m/s]."""
 SPEED = number(0.0, 100.0, "m/s", "Target speed.")
 DURATION = number(0.1, 1.0e5, "s", "Duration of the drive.")
 START_OFFSET = number(-100.0, 100.0, "m", "Start to the left of the path's first point.")
@@ -157,6 +159,8 @@ def preview_speed(
     left = math.inf if path.closed else (len(path.x) - 1) * path.spacing - s - STAND_OFF
     stopping = math.sqrt(2 * END_DECELERATION * max(left, 0.0))
     ahead = max(SPEED_PREVIEW * min(now, stopping), MIN_PREVIEW)
+    if not path.closed:
+        s = max(s, 0.0)  # `odom` at the start describes the rear axle, behind the first point
     soon = speed_at(profile, s + ahead if profile.over_distance else elapsed + SPEED_PREVIEW)
     return min(soon, math.sqrt(2 * END_DECELERATION * max(left - ahead, 0.0))), index
 
@@ -168,17 +172,23 @@ def stopping_speed(path: Path) -> Array:
 
 
 class SpeedPlanner:
-    """Target speed of one drive, which starts with the first state."""
+    """Target speed of one drive, which starts with the first state.
+
+    A car may stand at its start and wait. The time of a drive that begins with a speed counts from
+    the last state before the car moves.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         """Prepare one drive of a scenario."""
         self.profile, self.path = scenario.speed, scenario.path
         self.index = NOT_CAUGHT
         self.start_ns: int | None = None
+        self.waits = speed_at(self.profile, 0.0) > MOVING
 
     def target_speed(self, state: VehicleState) -> float:
         """Return the speed that the driver has to reach one preview time later [m/s]."""
-        if self.start_ns is None:
+        self.waits = self.waits and state.v_x < MOVING
+        if self.start_ns is None or self.waits:
             self.start_ns = state.stamp_ns
         elapsed = (state.stamp_ns - self.start_ns) / NANOSECONDS
         speed, self.index = preview_speed(

@@ -20,6 +20,7 @@ from ampc_msgs_config.nodes.base_node import spin
 from ampc_msgs_config.nodes.failed_callbacks import shortened
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
+from ampc_msgs_config.nodes.sole_sources import SoleSources
 from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
@@ -111,6 +112,11 @@ class ControllerNode(ConfiguredNode):
             inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
             self.initial.listen(self.supervisor.config.steering)
             self.while_configured.callback(self.initial.close)
+        listed = [ros.STEERING_COMMAND, ros.REFERENCE_PATH]
+        self.sources = SoleSources(
+            self, {ros.ODOM: Odometry}, listed, self.on_conflict, lock_step=self.lock_step
+        )
+        self.while_configured.callback(self.sources.destroy)
         reset_stop = self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
         self.while_configured.callback(self.destroy_service, reset_stop)
 
@@ -374,7 +380,8 @@ class ControllerNode(ConfiguredNode):
     def report_change(self, record: TickRecord) -> None:
         """Request a stop where that is new, and report a changed condition at once."""
         self.watchdog.on_command()
-        self.outputs.request_stop(self.supervisor.stop_requested or self.was_silent)
+        is_doubtful = self.was_silent or bool(self.sources.conflict)
+        self.outputs.request_stop(self.supervisor.stop_requested or is_doubtful)
         failure = shortened(self.supervisor.failure)
         if failure and failure != self.failure:
             self.get_logger().warning(failure)
@@ -385,6 +392,12 @@ class ControllerNode(ConfiguredNode):
             if line := describe_change(before, now):
                 self.get_logger().warning(line)
             self.on_diagnostics()
+
+    def on_conflict(self) -> None:
+        """Request a stop after a second publisher of a topic, until it is taken back."""
+        if self.is_active:
+            self.outputs.request_stop(True)
+        self.on_diagnostics()
 
     def on_diagnostics(self) -> None:
         """Report health once a second and after a change."""
@@ -397,8 +410,8 @@ class ControllerNode(ConfiguredNode):
         if self.playback.is_new(advice):
             self.get_logger().error(advice)
         problems = [self.clock_check.problem(), *self.inputs.mismatches(), self.uncertified, advice]
-        if self.watchdog.problem:
-            level, sentence = ERROR, f"{self.watchdog.problem}: a stop is requested"
+        if fault := self.watchdog.problem or self.sources.conflict:
+            level, sentence = ERROR, f"{fault}: a stop is requested"
         elif self.was_silent:
             problems.append("a stop is requested after a silence; ~/reset_stop takes it back")
         if any(problems):
@@ -413,6 +426,7 @@ class ControllerNode(ConfiguredNode):
     def withdraw_stop(self) -> None:
         """Take back the request to stop, whatever its cause."""
         self.supervisor.clear_stop()
+        self.sources.clear()
         self.was_silent = False
         self.outputs.request_stop(False)
 

@@ -1,31 +1,43 @@
 """Node `planner`: publishes path and target speed of a drive. `ros2 run ampc_ros planner`.
 
-In real time it brakes while a stop is requested. In lock-step it does not: the order of a request
-and the state of the same tick is undefined there, and a drive must be repeatable.
+In real time it brakes while a stop is requested, while the controller is silent, and after a
+second publisher of one of its topics. In lock-step it does not: the order of a request and the
+state of the same tick is undefined there, and a drive must be repeatable.
 """
 
+import math
 import sys
+import time
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.nodes.silent_clock import SilentClock
-from ampc_msgs_config.scenarios.scenario import SpeedPlanner
+from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.paths.path import NOT_CAUGHT
+from ampc_msgs_config.scenarios.scenario import MOVING, SpeedPlanner
 from ampc_msgs_config.scenarios.scenario_yaml import document, scenario_content
-from ampc_msgs_config.types import NANOSECONDS, OK, STALE, WARN, VehicleState
-from ampc_ros.nodes.braking import Braking
+from ampc_msgs_config.types import ERROR, NANOSECONDS, OK, STALE, WARN, VehicleState
+from ampc_ros.nodes.braking import Braking, StopRequests
+from ampc_ros.supervision.checks import StateFilter
 
 SILENCE = 0.5
-"""Age at which the newest state is reported as stale [s]."""
+"""Age at which the newest state is reported as stale, and time without a steering command after
+which the planner brakes [s]."""
 BRAKING_PERIOD = 0.1
-"""Time between target speeds while a stop is requested and no state arrives [s]."""
+"""Wall time between target speeds while braking without a state [s]."""
+RESET_PAUSE = 1.0
+"""Wall time for which the planner still brakes after `~/reset_stop`, until publishers that are
+alive have repeated their requests, and the lists of publishers were looked at [s]."""
 
 
 class PlannerNode(BaseNode):
@@ -37,7 +49,8 @@ class PlannerNode(BaseNode):
         self.scenario = declare_scenario(self)
         self.plan = SpeedPlanner(self.scenario)
         self.plan.target_speed(VehicleState(0, *self.scenario.start, 0.0, 0.0, 0.0))  # compiles
-        self.braking, self.stop_requested = Braking(), False
+        self.filter, self.braking, self.requests = StateFilter(), Braking(), StopRequests()
+        self.stop, self.reset_at = "", -math.inf
         self.newest: TwistStamped | None = None
         self.path_is_out = False
         text = "frame of path and odom; empty: that of the first odom"
@@ -47,20 +60,30 @@ class PlannerNode(BaseNode):
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
         self.inputs = Inputs(self)
         self.inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
+        heard = {ros.ODOM: Odometry, ros.TARGET_SPEED: TwistStamped}
+        heard[ros.STEERING_COMMAND] = JointState
+        self.sources = SoleSources(
+            self, heard, [ros.REFERENCE_PATH], self.update_stop, lock_step=self.lock_step
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         if not self.lock_step:
-            profiles = ros.ANY_PUBLISHER
-            self.inputs.add(Bool, ros.STOP_REQUEST, self.on_stop_request, *profiles)
-            self.create_timer(BRAKING_PERIOD, self.on_braking_timer)
+            self.inputs.add(Bool, ros.STOP_REQUEST, self.on_stop_request, *ros.ANY_PUBLISHER)
+            self.create_timer(BRAKING_PERIOD, self.on_braking_timer, clock=steady)
+            self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
         self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         text = document({"scenario": scenario_content(self.scenario)})
         self.configurations.publish(String(data=text))
         self.clock_check = SilentClock(self)
         # In real time, the clock that no other clock can stop.
-        clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self.on_diagnostics, clock=clock)
+        self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else steady)
         if self.now_ns > 0:
             self.publish_path(self.now_ns)
         self.get_logger().info(f"ready: {self.scenario.name}, {self.scenario.duration:g} s")
+
+    @property
+    def stop_requested(self) -> bool:
+        """Whether the planner brakes."""
+        return bool(self.stop)
 
     def publish_path(self, stamp_ns: int) -> None:
         """Publish the path, latched."""
@@ -72,32 +95,45 @@ class PlannerNode(BaseNode):
         """Publish the target speed for a state; the same state again repeats the message."""
         try:
             state = ros.vehicle_state(message)
+            if self.unrecorded():
+                return
+            speed = self.speed_message(state)
         except ValueError as error:
             self.reject(error)
-            return
-        if self.unrecorded():
             return
         is_first, frame_id = not self.frame_id, message.header.frame_id
         self.frame_id = self.frame_id or frame_id
         if not self.path_is_out or (is_first and frame_id != ros.MAP):
             self.publish_path(state.stamp_ns)
-        self.speeds.publish(self.speed_message(state))
+        self.speeds.publish(speed)
 
     def speed_message(self, state: VehicleState) -> TwistStamped:
-        """Return the target speed for a state; the drive restarts where time goes backwards."""
-        newest_ns = -1 if self.newest is None else ros.nanoseconds(self.newest.header.stamp)
-        if self.newest is None or state.stamp_ns < newest_ns:
-            self.plan, self.braking = SpeedPlanner(self.scenario), Braking()
+        """Return the target speed for a state.
+
+        Raises:
+            ValueError: The state contradicts the earlier ones.
+        """
+        if self.newest and state.stamp_ns == ros.nanoseconds(self.newest.header.stamp):
+            return self.newest
+        last = self.filter.track.last if self.filter.track else None
+        check = self.filter.accept(state, state.stamp_ns if self.lock_step else self.now_ns)
+        if not check.accepted:
+            raise ValueError(check.reason)
+        if last is None or (check.reset and (state.stamp_ns < last.stamp_ns or is_at_rest(state))):
+            self.plan = SpeedPlanner(self.scenario)
             self.get_logger().info("the drive starts")
-        if state.stamp_ns != newest_ns:
-            planned = self.plan.target_speed(state)
-            speed = self.braking.limited(planned, state, stop=self.stop_requested)
-            self.newest = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
+        elif check.reset:
+            self.get_logger().warning(f"{check.reason}: the position on the path is looked for")
+            self.plan.index = NOT_CAUGHT
+        planned = self.plan.target_speed(state)
+        speed = self.braking.limited(planned, state, stop=self.stop_requested)
+        self.newest = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
         return self.newest
 
     def on_braking_timer(self) -> None:
-        """Continue to brake without a state: its loss may be the reason for the stop."""
-        if not self.stop_requested or self.newest is None:
+        """Decide whether to brake, and do so also without a state: its loss may be the reason."""
+        self.update_stop()
+        if not self.stop or self.newest is None:
             return
         if self.now_ns - ros.nanoseconds(self.newest.header.stamp) <= SILENCE * NANOSECONDS:
             return
@@ -107,12 +143,40 @@ class PlannerNode(BaseNode):
         self.speeds.publish(ros.speed_message(ros.Stamped(self.now_ns, slower)))
 
     def on_stop_request(self, message: Bool) -> None:
-        """Brake from the next state on, or continue the drive."""
-        if message.data != self.stop_requested:
-            self.stop_requested = bool(message.data)
-            text = "a stop is requested: braking" if message.data else "the drive continues"
+        """Brake from the next state on; a publisher takes back only its own request."""
+        info = self.inputs.topics[ros.STOP_REQUEST].info
+        age = (info["received_timestamp"] - info["source_timestamp"]) / NANOSECONDS
+        self.requests.receive(message.data, info["publication_sequence_number"], age)
+        self.update_stop()
+
+    def update_stop(self) -> None:
+        """Decide whether to brake, and report a change."""
+        before, self.stop = self.stop, self.reason_to_stop()
+        if self.stop != before:
+            text = f"{self.stop}: braking" if self.stop else "the drive continues"
             self.get_logger().warning(text)
             self.on_diagnostics()
+
+    def reason_to_stop(self) -> str:
+        """Return why the planner brakes; empty: it does not."""
+        if self.requests.in_force:
+            return "a stop is requested"
+        if self.sources.conflict:
+            return self.sources.conflict
+        if self.sources.silence(ros.STEERING_COMMAND) > SILENCE:
+            return f"no {ros.STEERING_COMMAND} for {SILENCE:g} s"
+        is_resetting = time.monotonic() - self.reset_at < RESET_PAUSE
+        return "the stop is being reset" if is_resetting and self.stop else ""
+
+    def on_reset_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget all requests; publishers that are alive repeat theirs to a new subscription."""
+        self.requests, self.reset_at = StopRequests(), time.monotonic()
+        self.sources.clear()
+        self.inputs.topics.pop(ros.STOP_REQUEST).destroy()
+        self.inputs.add(Bool, ros.STOP_REQUEST, self.on_stop_request, *ros.ANY_PUBLISHER)
+        response.success = True
+        response.message = "requests of nodes that have left are forgotten, others remain in force"
+        return response
 
     def on_diagnostics(self) -> None:
         """Report health once a second and when a stop is requested or taken back."""
@@ -126,12 +190,20 @@ class PlannerNode(BaseNode):
 
     def health(self) -> tuple[int, str]:
         """Return level and sentence of the diagnostics."""
+        if self.sources.conflict:
+            return ERROR, f"{self.sources.conflict}: braking"
         if self.newest is None:
             return STALE, "waiting for odom"
         age = (self.now_ns - ros.nanoseconds(self.newest.header.stamp)) / NANOSECONDS
         if age > SILENCE:
             return STALE, f"odom is {age:.1f} s old: no target speed is published"
-        return (WARN, "a stop is requested: braking") if self.stop_requested else (OK, "")
+        level = ERROR if self.stop and not self.requests.in_force else WARN
+        return (level, f"{self.stop}: braking") if self.stop else (OK, "")
+
+
+def is_at_rest(state: VehicleState) -> bool:
+    """Return whether the car stands."""
+    return abs(state.v_x) < MOVING
 
 
 def main() -> int:

@@ -22,6 +22,10 @@ DRIFT = 0.5
 """Largest difference between pose and integrated twist over the window [m]..."""
 DRIFT_SHARE = 0.05
 """... plus this share of the distance driven in the window."""
+VELOCITY_STEP = 1.0
+"""Change of the velocity between two states from which its moment matters: a simulated car starts
+with the speed of its drive [m/s]."""
+REPEATED = -1.0
 MOST_STATES = 1000
 """Largest number of states in a window."""
 MAX_POSITION = 1.0e8
@@ -73,6 +77,9 @@ class WindowSample(NamedTuple):
     """[m]."""
     distance: float = 0.0
     """[m]."""
+    unknown: float = 0.0
+    """Largest difference by the newest step of the velocity, whose moment between two states is
+    unknown [m]; REPEATED: after another step in the same window, which is no start of a car."""
 
 
 class StateHistory:
@@ -115,13 +122,12 @@ class StateHistory:
             return stepped_back(dt)
         if silent:
             return jump(self.last, state, dt)
-        drift, distance, since = self._drift(state)
+        drift, most, since = self._drift(state)
         rejection = jump(self.last, state, dt)
         if rejection and rejection.cause == "position_jump" and drift <= POSITION_JUMP:
             # The twist leads here from one WINDOW before: the last states were wrong, but not by
             # enough for a rejection. A frozen pose that moves again must not be rejected once more.
             rejection = turn(self.last, state, dt)
-        most = DRIFT + DRIFT_SHARE * distance
         if rejection or drift <= most:
             return rejection
         return Rejection(
@@ -133,18 +139,21 @@ class StateHistory:
     def _integrate(self, state: VehicleState) -> WindowSample:
         """Integrate the twist from the last state to this one, once per state."""
         if self._integrated is None or self._integrated.state is not state:
-            last, x, y, distance = self.window[-1]
+            last, x, y, distance, unknown = self.window[-1]
             dt = time_between(last, state)
             (a, b), (c, d) = velocity(last), velocity(state)
             dx, dy = (a + c) / 2 * dt, (b + d) / 2 * dt
-            self._integrated = WindowSample(state, x + dx, y + dy, distance + math.hypot(dx, dy))
+            if (change := math.hypot(c - a, d - b)) > VELOCITY_STEP:
+                unknown = change / 2 * dt if unknown == self.window[0].unknown else REPEATED
+            distance += math.hypot(dx, dy)
+            self._integrated = WindowSample(state, x + dx, y + dy, distance, unknown)
         return self._integrated
 
     def _drift(self, state: VehicleState) -> tuple[float, float, float]:
         """Compare pose and integrated twist since the newest state that is WINDOW old.
 
         Returns:
-            Difference [m], distance driven [m], and time [s].
+            Difference [m], its largest value of a consistent car [m], and time [s].
         """
         first = self.window[0]
         for sample in self.window:
@@ -155,7 +164,9 @@ class StateHistory:
         drift = math.hypot(
             state.x - start.x - (now.x - first.x), state.y - start.y - (now.y - first.y)
         )
-        return drift, now.distance - first.distance, time_between(start, state)
+        most = DRIFT + DRIFT_SHARE * (now.distance - first.distance)
+        most += max(now.unknown, 0.0) if now.unknown != first.unknown else 0.0
+        return drift, most, time_between(start, state)
 
 
 def time_between(earlier: VehicleState, later: VehicleState) -> float:

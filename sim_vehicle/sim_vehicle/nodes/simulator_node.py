@@ -1,8 +1,9 @@
 """Node `simulator`: the simulated car. `ros2 run sim_vehicle simulator`.
 
-In real-time mode the car follows the clock of the node. In lock-step the node owns the time: it
-publishes `/clock` and a state, and advances only after steering command and target speed for that
-state have arrived.
+In real-time mode the car follows the clock of the node. It stands at its start until steering
+command and target speed have arrived, and then rolls with the speed of the scenario, so that pose
+and twist agree from the first message on. In lock-step the node owns the time: it publishes
+`/clock` and a state, and advances only after both commands for that state have arrived.
 """
 
 import sys
@@ -24,7 +25,8 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
-from ampc_msgs_config.types import NANOSECONDS
+from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN
 from sim_vehicle.closed_loop import STEP_NS
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
@@ -33,6 +35,9 @@ PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_PERIOD = 0.02
 """Period of the states in real-time mode [s]."""
+LONGEST_CATCH_UP = 0.5
+"""Longest time that is caught up at once; the car stands still during a longer pause of this
+process or jump of the clock [s]."""
 MAX_SILENCE = 0.5
 """Age from which a command is reported as missing, in real-time mode [s]."""
 RESEND = 0.2
@@ -51,13 +56,12 @@ class SimulatorNode(BaseNode):
         self.simulation = self.config.simulation()
         self.simulation.advance(0.0, 0.0, STEP_NS)  # compiles the simulation
         self.simulation.car.measure(0)  # compiles the measurement
-        self.simulation = self.config.simulation()
+        self.place_at_start()
         limits = (0.1, 3600.0)
         self.time_out = declare(self, "time_out", 10.0, "timeout of a command [s]", limits)
         self.start_time_out = declare(
             self, "start_time_out", 60.0, "timeout of the start of other nodes [s]", limits
         )
-        self.start_ns = NANOSECONDS
         self.state: list[tuple[Publisher, Any]] = []
         self.answers: dict[str, ros.Stamped] = {}
         self.waiting_since = time.monotonic()
@@ -67,6 +71,13 @@ class SimulatorNode(BaseNode):
         self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
         name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
         self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
+
+    def place_at_start(self) -> None:
+        """Place the car at its start; in real time it stands there until the drive begins."""
+        self.simulation = self.config.simulation()
+        self.start_ns, self.is_driving = NANOSECONDS, self.lock_step
+        if not self.lock_step:
+            self.simulation.set_speed(0.0)
 
     def _load_configuration(self) -> SimulatorConfiguration:
         """Declare the parameters of scenario and car, and load the files that they name."""
@@ -97,6 +108,11 @@ class SimulatorNode(BaseNode):
             self._listen(JointState, ros.STEERING_COMMAND, self.angle_of),
             self._listen(TwistStamped, ros.TARGET_SPEED, ros.target_speed),
         ]
+        heard = {ros.STEERING_COMMAND: JointState, ros.TARGET_SPEED: TwistStamped}
+        listed = [ros.ODOM, ros.CLOCK] if self.lock_step else [ros.ODOM]
+        self.sources = SoleSources(
+            self, heard, listed, self.on_diagnostics, lock_step=self.lock_step
+        )
 
     def _listen(self, kind: Any, topic: str, unpack: Callable[[Any], ros.Stamped]) -> Subscription:
         return self.create_subscription(
@@ -158,19 +174,48 @@ class SimulatorNode(BaseNode):
         self.send()
 
     def on_real_time(self) -> None:
-        """Advance under the newest commands; the car waits at its start for the first ones."""
-        if missing := self.unanswered():
-            self.start_ns = self.now_ns
-            self.publish_state()
-            self.check_time_out(f"no {' and no '.join(missing)}", self.start_time_out)
+        """Advance under the newest commands; a pause longer than LONGEST_CATCH_UP is left out."""
+        if not self.is_driving:
+            self.wait_at_start()
             return
         due_ns = self.now_ns - self.stamp_ns
         if due_ns < 0:
             self.get_logger().warning("time went backwards: the car restarts the scenario")
-            self.simulation, self.start_ns = self.config.simulation(), self.now_ns
-        elif due_ns >= STEP_NS:
+            self.place_at_start()
+            self.waiting_since = time.monotonic()
+            return
+        if due_ns > LONGEST_CATCH_UP * NANOSECONDS:
+            pause = due_ns / NANOSECONDS
+            self.get_logger().warning(f"no state for {pause:.1f} s: the car stood still meanwhile")
+            self.start_ns += due_ns - STEP_NS
+            due_ns, now_ns = STEP_NS, self.now_ns  # the commands of the pause are still to come
+            self.answers = {t: a._replace(stamp_ns=now_ns) for t, a in self.answers.items()}
+        if due_ns >= STEP_NS:
             self.check_silence()
             self.move(due_ns // STEP_NS * STEP_NS)
+
+    def wait_at_start(self) -> None:
+        """Publish the standing car; begin the drive once both commands are there.
+
+        A stop request keeps the car at its start: the target speed is zero then.
+        """
+        self.start_ns = self.now_ns
+        self.publish_state()
+        if missing := self.waits_for():
+            self.check_time_out(f"no {missing}", self.start_time_out)
+            return
+        start, target = self.simulation.start_speed, self.answers[ros.TARGET_SPEED].value
+        self.simulation.set_speed(min(start, target))
+        self.is_driving = True
+
+    def waits_for(self) -> str:
+        """Return what the car waits for at its start, in real time; empty: it does not wait."""
+        if self.is_driving:
+            return ""
+        if missing := self.unanswered():
+            return " and ".join(missing)
+        is_held = self.simulation.start_speed > 0.0 >= self.answers[ros.TARGET_SPEED].value
+        return "target_speed above 0 m/s" if is_held else ""
 
     def check_silence(self) -> None:
         """Real time: end the drive if a command is older than the timeout."""
@@ -226,14 +271,15 @@ class SimulatorNode(BaseNode):
         }
         stamp_ns = self.stamp_ns if self.lock_step else self.now_ns
         missing = "" if self.lock_step else self.missing()
-        if missing and not self.unanswered():
+        if missing and self.is_driving:
             self.get_logger().warning(missing, throttle_duration_sec=5.0)
-        self.report(stamp_ns, missing, values)
+        conflict = self.sources.conflict
+        self.report(stamp_ns, conflict or missing, values, ERROR if conflict else WARN)
 
     def missing(self) -> str:
         """Return which commands are missing or old in real-time mode, or an empty text."""
-        if unanswered := self.unanswered():
-            return f"the car waits at its start for {' and '.join(unanswered)}"
+        if waits_for := self.waits_for():
+            return f"the car waits at its start for {waits_for}"
         silent = {
             topic: (self.now_ns - answer.stamp_ns) / NANOSECONDS
             for topic, answer in self.answers.items()
