@@ -167,6 +167,7 @@ def plan_message(
                 positions=position,
                 velocities=[*velocity, 0.0, 0.0],
                 accelerations=[0.0, acceleration, 0.0, 0.0],
+                effort=[0.0] * len(position),  # rosbags misreads an empty list inside a list
                 time_from_start=Duration(sec=time // NANOSECONDS, nanosec=time % NANOSECONDS),
             )
         )

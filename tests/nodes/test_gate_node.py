@@ -388,11 +388,12 @@ def test_a_message_that_is_too_large_is_refused_unread(monkeypatch: pytest.Monke
 def test_an_internal_error_is_counted_and_the_gate_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with gated_car(**SLOW) as (car, _):
+    with gated_car(**SLOW) as (car, executor):
         drive(car, GateInputs())
         step = car.gate.gate.step
         monkeypatch.setattr(car.gate.gate, "step", lambda _: 1 / 0)
-        car.wait(lambda: car.gate.failures > 3)
+        while car.gate.failed.count <= 3:
+            car.gate.failed.run_next(executor, timeout=0.1)
         monkeypatch.setattr(car.gate.gate, "step", step)
         count = len(car.angles)
         car.wait(lambda: len(car.angles) > count + 5)

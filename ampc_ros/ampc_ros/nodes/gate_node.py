@@ -8,13 +8,11 @@ no compiled code, reads files at its start only, and measures time with the stea
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
@@ -67,22 +65,18 @@ class GateNode(BaseNode):
         self.outputs = GateOutputs(self, self.steering, self.chassis.wheelbase)
         self.command: JointState | None = None
         self.target: ros.Stamped | None = None
-        self.rounds = self.failures = 0
+        self.rounds = 0
         self.subscribe()
         self.create_service(Trigger, "~/reset", self.on_reset)
         self.outputs.publish_state(self.gate.state)
         self.clock_check = SilentClock(self)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.every(1.0, self.on_diagnostics, None if self.lock_step else steady)
+        self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else steady)
         if self.lock_step:
-            self.connecting = self.every(CONNECT_PERIOD, self.connect, steady)
+            self.connecting = self.create_timer(CONNECT_PERIOD, self.connect, clock=steady)
         else:
-            self.every(1.0 / self.rate, self.on_timer, steady)
+            self.create_timer(1.0 / self.rate, self.on_timer, clock=steady)
         self.get_logger().info("ready")
-
-    def every(self, period: float, callback: Callable[[], None], clock: Clock | None) -> Timer:
-        """Call back every `period` seconds of a clock; None: that of the node."""
-        return self.create_timer(period, partial(self.survive, callback), clock=clock)
 
     def load(self) -> None:
         """Declare the parameters, and load the files that they name."""
@@ -130,37 +124,23 @@ class GateNode(BaseNode):
     def listen(
         self, kind: Any, topic: str, callback: Callable[[Any], None], *profiles: Any, **how: Any
     ) -> None:
-        """Subscribe to a topic, whose messages are refused unread where they are too large."""
+        """Subscribe to a topic, whose messages are refused unread where they are too large.
+
+        In lock-step a refused message ends the process: all nodes would wait for ever.
+        """
         most = LARGEST_PLAN if topic == topics.STEERING_PLAN else LARGEST_MESSAGE
 
         def on_data(data: bytes) -> None:
-            if len(data) > most:
-                raise ValueError(f"{topic}: {len(data)} bytes must be at most {most}")
-            callback(ros.decode(data, kind))
+            try:
+                if len(data) > most:
+                    raise ValueError(f"{topic}: {len(data)} bytes must be at most {most}")
+                callback(ros.decode(data, kind))
+            except ValueError as error:
+                self.reject(error)
+                if self.lock_step:
+                    raise SystemExit(UNSAFE) from error
 
-        on_input = partial(self.survive, on_data)
-        self.inputs.add(kind, topic, on_input, *profiles, raw=True, **how)
-
-    def survive(self, callback: Callable[..., None], *arguments: Any) -> None:
-        """Call back; log and count whatever goes wrong.
-
-        Raises:
-            SystemExit: An unsafe input in lock-step.
-        """
-        try:
-            callback(*arguments)
-        except ValueError as error:
-            self.reject(error)
-            self.end_lock_step()
-        except Exception as error:
-            self.failures += 1
-            self.get_logger().error(f"internal error: {error!r}", throttle_duration_sec=1.0)
-            self.end_lock_step()
-
-    def end_lock_step(self) -> None:
-        """End the process in lock-step, where all nodes would wait for ever."""
-        if self.lock_step:
-            raise SystemExit(UNSAFE)
+        self.inputs.add(kind, topic, on_data, *profiles, raw=True, **how)
 
     def on_command(self, message: JointState) -> None:
         """Pass a sound command on at once.
@@ -301,7 +281,7 @@ class GateNode(BaseNode):
         if any(problems):
             level, sentence = max(level, WARN), "; ".join(filter(None, [sentence, *problems]))
         values = {"state": float(list(GateState).index(gate.state)), "rounds": float(self.rounds)}
-        values |= {"internal_errors": float(self.failures), "speed": gate.speed_at(now)}
+        values["speed"] = gate.speed_at(now)
         if gate.output:
             values |= {"commanded_speed": gate.output.speed, "angle": gate.output.angle}
         ages = {"command": gate.command, "target_speed": gate.target, "plan": gate.plan}
