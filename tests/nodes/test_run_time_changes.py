@@ -11,11 +11,10 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.paths.path import Path as Reference
 from ampc_msgs_config.scenarios.scenario import load_scenario
-from ampc_msgs_config.types import NANOSECONDS, OPTIMAL, Command, VehicleState
+from ampc_msgs_config.types import Command, VehicleState
 from ampc_ros.configuration import Choices, Configuration, configuration, from_yaml
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.supervision.supervisor import Supervisor
@@ -129,9 +128,10 @@ def trigger(driver: Driver, name: str) -> Any:
 def test_a_change_over_ros_is_told_once_and_steps_no_farther_than_an_ordinary_tick(
     driver: Driver,
 ) -> None:
-    """Change to and fro until no tick around a change was late, which a busy machine may take."""
+    """Change to and fro: on a busy machine late states move the wheel around some changes."""
     back = {"gain_table": "gains.yaml", "settings": "table3", "guard": "guards.yaml"}
-    for changes in range(1, 12):
+    excess: list[float] = []
+    for changes in range(1, 13):
         ordinary = driver.drive_for(20)
         begin = len(driver.commands) - 1
         chosen = CHANGES["all"] if changes % 2 else back
@@ -141,22 +141,11 @@ def test_a_change_over_ros_is_told_once_and_steps_no_farther_than_an_ordinary_ti
         config, number = from_yaml(driver.config[-1], "controller/configuration")
         assert (number, len(driver.config)) == (changes + 1, changes + 1)
         assert config == configuration(Choices(**chosen, static_path=True))
-        window = driver.commands[begin - len(ordinary) + 1 :]
-        if is_undisturbed(driver, window):
-            during = [message.position[0] for message in driver.commands[begin:]]
-            assert largest_step(during) <= max(largest_step(ordinary), 0.005)
+        during = [message.position[0] for message in driver.commands[begin:]]
+        excess.append(largest_step(during) - max(largest_step(ordinary), 0.005))
+        if excess[-1] <= 0.0:
             return
-    pytest.skip("every change was disturbed by a busy machine")
-
-
-def is_undisturbed(driver: Driver, messages: list[Any]) -> bool:
-    """Return whether states were answered in time, and by the optimal solution."""
-    stamps = [ros.nanoseconds(message.header.stamp) for message in messages]
-    gaps = np.diff(stamps) / NANOSECONDS
-    record = driver.node.policy.record
-    return bool(gaps.max() < 1.5 * driver.node.supervisor.period) and bool(
-        record and record.command.rung == OPTIMAL
-    )
+    assert min(excess) <= 0.0, excess
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
