@@ -19,7 +19,7 @@ PERIOD = 0.125
 
 def new_gate(**settings: float) -> Gate:
     """Return a waiting gate for the ordinary car."""
-    return Gate(ROAD, CHASSIS, GateSettings(period=PERIOD, **settings))  # type: ignore[arg-type]
+    return Gate(ROAD, CHASSIS, GateSettings(period=PERIOD, **settings))
 
 
 def at_speed(v_x: float) -> MeasuredPose:

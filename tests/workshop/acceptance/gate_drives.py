@@ -85,7 +85,8 @@ def true_road(name: str, car: str) -> Road:
     """Return a road with its exact geometry."""
     if name == "20 m circle":
         angles: Array = np.arange(125, dtype=np.float64) * (math.tau / 125)
-        return road_through(20.0 * np.column_stack((np.sin(angles), 1.0 - np.cos(angles))), True)
+        points: Array = 20.0 * np.column_stack((np.sin(angles), 1.0 - np.cos(angles)))
+        return road_through(points, closed=True)
     if name in ("sc1", "sc2"):
         size = load_vehicle_file(find("vehicles", car)).size
         return road_through(np.asarray(load_scenario(name, size).points)[::2])
@@ -120,7 +121,8 @@ class GatedDrive:
             vehicle.chassis,
             GateSettings(self.supervisor.period),
         )
-        points = self.road.curve(np.arange(0.0, path.length, 1.0))
+        s: Array = np.arange(0.0, path.length, 1.0, dtype=np.float64)
+        points = self.road.curve(s)
         points = np.concatenate((points, points[:1])) if path.closed else points
         self.supervisor.take_path(points, NANOSECONDS, NANOSECONDS)
         self.round, self.s, self.error = 0, 0.0, 0.0

@@ -68,7 +68,9 @@ class WatchedGate:
         else:
             refused = False
             if kind == "odometry":
-                pose = MeasuredPose(*(number(0.0, 5.0) for _ in range(3)), number(12.0, 4.0), 0.0)
+                pose = MeasuredPose(
+                    number(0.0, 5.0), number(0.0, 5.0), number(0.0, 1.0), number(12.0, 4.0), 0.0
+                )
                 gate.take_odometry(pose, now)
             elif kind == "measured":
                 gate.take_measured(number(self.angle, 0.05), now)
