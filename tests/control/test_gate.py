@@ -580,6 +580,7 @@ def test_times_follow_from_the_period_with_a_lower_bound(
     period: float, late: float, timeout: float
 ) -> None:
     settings = GateSettings(period=period)
+    assert GateSettings().period == 0.1
     assert settings.late == pytest.approx(late)
     assert settings.command_timeout == pytest.approx(timeout)
     assert settings._replace(timeout=0.7).command_timeout == 0.7
