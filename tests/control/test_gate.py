@@ -250,6 +250,7 @@ def test_an_angle_far_beyond_the_limits_is_unsafe_and_one_near_them_is_clipped(
 ) -> None:
     bound = bounds(ROAD, CHASSIS, speed)
     most = min(bound.angle, bound.acceleration)
+    assert LIMIT_SHARE == 1.25
     gate = new_gate()
     gate.take_speed(speed, 0.0)
     assert "must lie in" in gate.take_command(sign * 1.001 * LIMIT_SHARE * most, 0.0, 0.0)
@@ -620,6 +621,7 @@ def test_times_follow_from_the_period_with_a_lower_bound(
     period: float, late: float, timeout: float
 ) -> None:
     settings = GateSettings(period=period)
+    assert GateSettings().period == 0.1
     assert settings.late == pytest.approx(late)
     assert settings.command_timeout == pytest.approx(timeout)
     assert settings._replace(timeout=0.7).command_timeout == 0.7
@@ -646,6 +648,7 @@ def test_in_lock_step_the_commands_of_an_equal_guard_pass_bit_for_bit(seed: int)
 def test_in_lock_step_a_jump_is_clipped_over_the_time_between_the_stamps() -> None:
     gate = LockStepGate(ROAD, CHASSIS, 0.1)
     assert gate.step(10**9, 0.1, 0.0, 3.0) == (0.1, 0.0, 3.0, True)
+    assert gate.step(10**9, 0.5, 0.0, 3.0)[0] == 0.1  # no time, no step
     assert gate.step(10**9, 0.1, 0.0, 3.0).is_command
     output = gate.step(10**9 + 5 * 10**7, 0.5, 0.0, 3.0)
     assert output.angle == pytest.approx(0.1 + 1.3 * 0.05)

@@ -337,7 +337,8 @@ class Gate:
         if self.state in STOPS:
             fallen = self.settings.deceleration * (now - self._stop_at)
             return max(self._stop_speed - fallen, 0.0)
-        return self.target.value if self.target else 0.0
+        assert self.target
+        return self.target.value
 
 
 def value_of(measured: Measured | None, now: float) -> float | None:
