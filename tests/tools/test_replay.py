@@ -41,6 +41,8 @@ SCENARIOS = (
     "straight", "iso3888_2",
 )  # fmt: skip
 Disturb = Callable[[Supervisor, int], None]
+JITTER_NS = 19_000_000
+"""Longest delay of a jittering tick [ns]."""
 
 
 def scenario_of(name: str, duration: float = 6.0) -> Scenario:
@@ -92,7 +94,8 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[in
             if supervisor.number != number:
                 number = supervisor.number
                 bag.configuration(supervisor)
-            decision = supervisor.tick(now_ns + 77) if step % 5 == 4 else None
+            late_ns = int(rng.integers(0, JITTER_NS)) if disturb is starts_in_a_bend else 0
+            decision = supervisor.tick(now_ns + 77 + late_ns) if step % 5 == 4 else None
             if decision:
                 commands, steering = commands + 1, decision.command.steering
                 bag.decision(decision, commands)
@@ -149,6 +152,12 @@ def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
         supervisor.clear_stop()
 
 
+def starts_in_a_bend(supervisor: Supervisor, step: int) -> None:
+    """Start from a measured angle, and again after a driver's intervention, on jittering ticks."""
+    if step in (0, 250):
+        supervisor.start_from(0.1 if step == 0 else -0.3)
+
+
 def assert_same_bits(folder: Path) -> None:
     """Replay, and find no difference."""
     run = read_run(folder)
@@ -170,7 +179,9 @@ def test_every_controller_replays_bit_for_bit(controller: str, tmp_path: Path) -
     assert_same_bits(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("disturb", [nothing, qp_fails, gains_change, stop_is_taken_back])
+@pytest.mark.parametrize(
+    "disturb", [nothing, qp_fails, gains_change, stop_is_taken_back, starts_in_a_bend]
+)
 def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
     disturb: Disturb, tmp_path: Path
 ) -> None:
@@ -200,6 +211,16 @@ def test_numbers_are_the_same_within_the_tolerance_and_nan_only_as_nan(
 ) -> None:
     assert bool(is_same(a, b, tolerance)) is same
     assert bool(is_same(b, a, tolerance)) is same
+
+
+def test_a_record_without_command_intervals_replays_with_one_period(tmp_path: Path) -> None:
+    drive_in_lock_step(tmp_path / "bag", "sc2")
+    run = read_run(tmp_path / "bag")
+    for tick in run.ticks:
+        assert tick.values.pop("command_interval") == 0.1
+        assert math.isnan(tick.values.pop("started_from"))
+    for tick, decision in zip(run.ticks, replay_ticks(run.ticks, run.config), strict=True):
+        assert differences(tick, decision, 0.0) == []
 
 
 def test_a_run_with_a_custom_controller_needs_its_file(
