@@ -216,7 +216,8 @@ def test_a_tick_that_raises_leaves_a_held_angle_and_a_stop_and_the_node_continue
 
         def drive_until(condition: Callable[[], bool]) -> None:
             def holds() -> bool:
-                node.failed.run_next(own, timeout=0.01)
+                for _ in range(20):  # the driver runs one callback meanwhile
+                    node.failed.run_next(own, timeout=0.0)
                 return condition()
 
             driver.drive_until(holds)
