@@ -91,8 +91,17 @@ def scenario_of(name: str, duration: float = 6.0) -> Scenario:
     return load_scenario(name, VEHICLE.size)._replace(duration=duration)
 
 
-def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[int]:
-    """Record a drive with its own clock, late states and whatever else; gives the rungs."""
+def drive_in_real_time(
+    folder: Path, disturb: Disturb, seed: int = 0, jitter_ns: int = 0
+) -> list[int]:
+    """Record a drive with its own clock, late states and whatever else; return the rungs.
+
+    Args:
+        folder: New folder of the bag.
+        disturb: Is called with the supervisor and the number of each step.
+        seed: Seed of delays and losses.
+        jitter_ns: Bound of the delay of a tick [ns].
+    """
     rng, scenario = np.random.default_rng(seed), scenario_of("sc2", 8.0)
     supervisor = Supervisor(configuration(Choices(static_path=True)))
     simulation, planner = Simulation(VEHICLE, scenario), SpeedPlanner(scenario)
@@ -113,7 +122,8 @@ def drive_in_real_time(folder: Path, disturb: Disturb, seed: int = 0) -> list[in
             if supervisor.number != number:
                 number = supervisor.number
                 bag.configuration(supervisor)
-            decision = supervisor.tick(now_ns + 77) if step % 5 == 4 else None
+            late_ns = int(rng.integers(0, jitter_ns)) if jitter_ns else 0
+            decision = supervisor.tick(now_ns + 77 + late_ns) if step % 5 == 4 else None
             if decision:
                 commands, steering = commands + 1, decision.command.steering
                 bag.decision(decision, commands)

@@ -1,6 +1,7 @@
 """Callbacks that raise: every node logs the cause once, counts it and continues."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -96,7 +97,7 @@ def test_one_cause_is_logged_once_and_every_failure_is_counted(
         node, other = BaseNode("failing"), Other()
         reports: list[Any] = []
         other.create_subscription(
-            DiagnosticArray, ros.DIAGNOSTICS, lambda each: reports.extend(each.status), ros.RELIABLE
+            DiagnosticArray, ros.DIAGNOSTICS, partial(store_reports, reports), ros.RELIABLE
         )
         causes = iter([ValueError("first"), KeyError("second"), ValueError("third")] * 2)
         node.create_timer(0.01, lambda: fail(next(causes, RuntimeError("later"))))
@@ -114,6 +115,16 @@ def test_one_cause_is_logged_once_and_every_failure_is_counted(
     assert said.count("KeyError: 'second' (test_failed_callbacks.py:") == 1
 
 
+def store_reports(reports: list[Any], message: DiagnosticArray) -> None:
+    """Store the reports of a message."""
+    reports.extend(message.status)
+
+
+def store_data(values: list[Any], message: Any) -> None:
+    """Store the value of a message."""
+    values.append(message.data)
+
+
 def fail(error: Exception) -> None:
     """Raise an error."""
     raise error
@@ -123,9 +134,7 @@ def test_a_message_that_cannot_be_decoded_does_not_silence_its_topic() -> None:
     with ros_context():
         node, other = BaseNode("failing"), Other()
         texts: list[str] = []
-        node.create_subscription(
-            String, "text", lambda message: texts.append(message.data), ros.RELIABLE
-        )
+        node.create_subscription(String, "text", partial(store_data, texts), ros.RELIABLE)
         publisher = other.create_publisher(String, "text", ros.RELIABLE)
         other.until(node, lambda: bool(publisher.get_subscription_count()))
         executor: Any = other.executor_of_tested
@@ -156,9 +165,7 @@ def test_a_service_that_fails_while_it_waits_ends_no_node() -> None:
         other.until(node, client.service_is_ready)
         client.call_async(Trigger.Request())
         numbers: list[float] = []
-        node.create_subscription(
-            Float64, "number", lambda message: numbers.append(message.data), ros.RELIABLE
-        )
+        node.create_subscription(Float64, "number", partial(store_data, numbers), ros.RELIABLE)
         publisher = other.create_publisher(Float64, "number", ros.RELIABLE)
         other.until(node, lambda: bool(publisher.get_subscription_count()))
         publisher.publish(Float64(data=1.0))
@@ -218,7 +225,7 @@ def test_a_frame_of_ten_kilobytes_is_shortened_in_log_and_diagnostics(
         driver = Driver(executor, node)
         reports: list[Any] = []
         driver.create_subscription(
-            DiagnosticArray, ros.DIAGNOSTICS, lambda each: reports.extend(each.status), ros.RELIABLE
+            DiagnosticArray, ros.DIAGNOSTICS, partial(store_reports, reports), ros.RELIABLE
         )
         driver.drive_for(1)
         odom: Odometry = ros.odometry_message(driver.drive())

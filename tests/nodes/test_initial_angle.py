@@ -10,6 +10,7 @@ from lifecycle_msgs.msg import Transition
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.parameters import SteeringParameters
 from ampc_ros.nodes import initial_angle
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.supervision.guard import bounds
@@ -53,7 +54,7 @@ def published(node: ControllerNode) -> list[float]:
         angles.append(message.position[0])
         publish(message)
 
-    node.outputs.commands.publish = store  # type: ignore[method-assign]
+    node.outputs.commands.publish = store  # type: ignore[assignment, method-assign]
     return angles
 
 
@@ -175,6 +176,6 @@ def test_a_command_that_is_no_angle_is_not_heard(message: Any) -> None:
 
 def test_the_ratio_of_the_topic_holds_for_commands_that_are_heard() -> None:
     heard = initial_angle.InitialAngle.__new__(initial_angle.InitialAngle)
-    heard.steering = ros.SteeringParameters(max_angle=0.6, ratio=16.0, offset=0.02)
+    heard.steering = SteeringParameters(max_angle=0.6, ratio=16.0, offset=0.02)
     heard.on_command(ros.joint_message(1, 0.3, 0.0, heard.steering))
     assert heard.heard == pytest.approx(0.3)

@@ -92,6 +92,7 @@ def tick_times() -> list[float]:
     chosen = {"settings": "100hz", "gain_table": "preview_100hz", "use_sim_time": "true"}
     with ros_context(**chosen) as executor:
         node = ControllerNode()
+        node.initial.is_pending = False  # no wait for the angle of the wheel
         executor.add_node(node)
         node.on_path(ros.path_message(np.array(PATHS["bends"]), 0))
         times = []

@@ -182,6 +182,29 @@ def test_parameters_set_one_by_one_are_judged_one_by_one(driver: Driver) -> None
     assert driver.node.supervisor.qp_fault
 
 
+def test_four_hundred_changes_at_once_leave_the_node_and_its_ticks(driver: Driver) -> None:
+    """Requests beyond the depth of the service are lost by the middleware."""
+    client = driver.create_client(SetParameters, "controller/set_parameters")
+    spin_until(driver.executor_of_all, client.service_is_ready)
+    sent = 0
+    known = driver.node.commands
+
+    def are_sent() -> bool:
+        nonlocal sent
+        request = SetParameters.Request(parameters=requested({"qp_fault": sent % 2 == 1}))
+        client.call_async(request)
+        sent += 1
+        return sent >= 400
+
+    driver.drive_until(are_sent)
+    driver.drive_until(lambda: driver.node.commands > known + 10)
+    result = driver.answer(client, SetParameters.Request(parameters=requested({"qp_fault": False})))
+    assert result.results[0].successful
+    driver.drive_until(lambda: not driver.node.supervisor.qp_fault)
+    assert driver.node.failed.count == 0
+    assert not driver.node.was_silent
+
+
 def test_reload_reads_the_files_anew_and_refuses_broken_ones(driver: Driver) -> None:
     config = driver.node.supervisor.config
     for file in (Path("gains.yaml"), Path("guards.yaml")):

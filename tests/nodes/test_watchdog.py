@@ -12,7 +12,6 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.marker_node import MarkerNode
 from ampc_msgs_config.types import ERROR, NANOSECONDS
-from ampc_ros.nodes import watchdog as watchdog_module
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from ampc_ros.nodes.watchdog import MOST_COUNTED, WATCH_PERIOD, Watchdog, silence_limit
@@ -30,7 +29,7 @@ class Clocks:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, simulated: bool) -> None:
         """Start both clocks."""
         self.wall, self.node = 100.0, 50.0
-        monkeypatch.setattr(watchdog_module.time, "monotonic", lambda: self.wall)
+        monkeypatch.setattr("ampc_ros.nodes.watchdog.time.monotonic", lambda: self.wall)
         parameter = Parameter("use_sim_time", value=simulated)
         node: Any = type("Node", (), {"get_parameter": lambda *_: parameter})()
         self.watchdog = Watchdog(node, lambda: round(self.node * NANOSECONDS))
@@ -161,7 +160,11 @@ def test_a_clock_that_stops_over_ros_leaves_a_held_angle_a_stop_and_an_error_tha
         clock = driver.create_publisher(ClockMessage, ros.CLOCK, ros.RELIABLE)
         begin = time.monotonic()
         reports: list[tuple[int, str]] = []
-        node.report = lambda _, text, __, level: reports.append((level, text))  # type: ignore[method-assign, assignment]
+
+        def store(_: int, text: str, __: Any, level: int) -> None:
+            reports.append((level, text))
+
+        node.report = store  # type: ignore[assignment, method-assign]
 
         def runs() -> None:
             now_ns = round((100.0 + time.monotonic() - begin) * NANOSECONDS)
@@ -192,7 +195,12 @@ def test_a_clock_that_stops_over_ros_leaves_a_held_angle_a_stop_and_an_error_tha
         spin_until(executor, steers_again)
         assert driver.stops[-1]
         node.withdraw_stop()
-        spin_until(executor, lambda: not (runs() or driver.stops[-1]))
+
+        def is_withdrawn() -> bool:
+            runs()
+            return not driver.stops[-1]
+
+        spin_until(executor, is_withdrawn)
 
 
 def test_a_tick_that_raises_leaves_a_held_angle_and_a_stop_and_the_node_continues(
@@ -208,7 +216,8 @@ def test_a_tick_that_raises_leaves_a_held_angle_and_a_stop_and_the_node_continue
 
         def drive_until(condition: Callable[[], bool]) -> None:
             def holds() -> bool:
-                node.failed.run_next(own, timeout=0.01)
+                for _ in range(20):  # the driver runs one callback meanwhile
+                    node.failed.run_next(own, timeout=0.0)
                 return condition()
 
             driver.drive_until(holds)

@@ -31,6 +31,8 @@ from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
 from tests.recorded_drives import VEHICLE, Bag, Disturb, drive_in_real_time, scenario_of
 
 TICK_NS = NANOSECONDS // 10
+JITTER_NS = 19_000_000
+"""Longest delay of a jittering tick [ns]."""
 SCENARIOS = (
     "sc1", "sc1_falcone", "sc2", "sc3_constant", "sc3_varying", "sc3_wind", "sine", "circle",
     "straight", "iso3888_2",
@@ -107,6 +109,12 @@ def stop_is_taken_back(supervisor: Supervisor, step: int) -> None:
         supervisor.clear_stop()
 
 
+def starts_in_a_bend(supervisor: Supervisor, step: int) -> None:
+    """Start from a measured angle, and again after a driver's intervention, on jittering ticks."""
+    if step in (0, 250):
+        supervisor.start_from(0.1 if step == 0 else -0.3)
+
+
 def assert_same_bits(folder: Path) -> None:
     """Replay, and find no difference."""
     run = read_run(folder)
@@ -128,11 +136,14 @@ def test_every_controller_replays_bit_for_bit(controller: str, tmp_path: Path) -
     assert_same_bits(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("disturb", [nothing, qp_fails, gains_change, stop_is_taken_back])
+@pytest.mark.parametrize(
+    "disturb", [nothing, qp_fails, gains_change, stop_is_taken_back, starts_in_a_bend]
+)
 def test_a_run_with_late_states_and_faults_replays_bit_for_bit(
     disturb: Disturb, tmp_path: Path
 ) -> None:
-    rungs = drive_in_real_time(tmp_path / "bag", disturb)
+    jitter_ns = JITTER_NS if disturb is starts_in_a_bend else 0
+    rungs = drive_in_real_time(tmp_path / "bag", disturb, jitter_ns=jitter_ns)
     assert max(rungs) > 0  # states were lost
     assert_same_bits(tmp_path / "bag")
     stops = [tick.values["stop_requested"] for tick in read_run(tmp_path / "bag").ticks]
@@ -158,6 +169,16 @@ def test_numbers_are_the_same_within_the_tolerance_and_nan_only_as_nan(
 ) -> None:
     assert bool(is_same(a, b, tolerance)) is same
     assert bool(is_same(b, a, tolerance)) is same
+
+
+def test_a_record_without_command_intervals_replays_with_one_period(tmp_path: Path) -> None:
+    drive_in_lock_step(tmp_path / "bag", "sc2")
+    run = read_run(tmp_path / "bag")
+    for tick in run.ticks:
+        assert tick.values.pop("command_interval") == 0.1
+        assert math.isnan(tick.values.pop("started_from"))
+    for tick, decision in zip(run.ticks, replay_ticks(run.ticks, run.config), strict=True):
+        assert differences(tick, decision, 0.0) == []
 
 
 def test_a_run_with_a_custom_controller_needs_its_file(
