@@ -55,7 +55,7 @@ def stop_cause(columns: BagColumns, record: DriveRecord) -> str:
     A request after the standstill, such as that at the end of the controller, is no cause.
     """
     for rows in (columns.tick.get("stop_requested"), columns.values.get(topics.STOP_REQUEST)):
-        if rows is None or not len(rows) or not rows[-1, 1]:
+        if rows is None or not len(rows) or not rows[-1, 1] > 0:
             continue
         begin = rows[len(rows) - int(np.argmin(np.append(rows[::-1, 1] > 0, False))), 0]
         if np.interp(begin, record.time, record.speed) < STOPPED_BELOW:
