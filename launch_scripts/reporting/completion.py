@@ -55,13 +55,16 @@ def stop_cause(columns: BagColumns, record: DriveRecord) -> str:
     A request after the standstill, such as that at the end of the controller, is no cause.
     """
     for rows in (columns.tick.get("stop_requested"), columns.values.get(topics.STOP_REQUEST)):
-        if rows is None or not len(rows) or not rows[-1, 1]:
+        if rows is None or not len(rows) or not rows[-1, 1] > 0:
             continue
-        begin = rows[len(rows) - int(np.argmin(np.append(rows[::-1, 1] > 0, False))), 0]
-        if np.interp(begin, record.time, record.speed) < STOPPED_BELOW:
+        first = len(rows) - int(np.argmin(np.append(rows[::-1, 1] > 0, False)))
+        if np.interp(rows[first, 0], record.time, record.speed) < STOPPED_BELOW:
             continue
+        # Ticks without a new state have equal stamps: their order decides.
         reasons = columns.tick.get("reason", np.empty((0, 2)))
-        at = reasons[(reasons[:, 0] >= begin) & (reasons[:, 1] > 0), 1]
+        is_same = len(reasons) == len(rows)
+        begin = first if is_same else int(np.searchsorted(reasons[:, 0], rows[first, 0]))
+        at = reasons[begin:, 1][reasons[begin:, 1] > 0]
         if not len(at) or not 0 < at[0] < len(REASONS):
             return "a stop was requested"
         return f"a stop was requested ({REASONS[int(at[0])]})"

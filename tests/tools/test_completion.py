@@ -85,7 +85,7 @@ def test_a_complete_drive_is_complete_also_with_a_stop_request_after_its_end() -
     assert judged(np.full(150, 9.0), **stop) == ""
 
 
-@pytest.mark.parametrize("at", [0.8, 6.0, 9.0, 11.0])
+@pytest.mark.parametrize("at", [0.8, 3.0, 6.0, 10.0])
 def test_a_car_that_stopped_is_named_with_distance_and_cause(at: float) -> None:
     stop: dict[str, Any] = {"stop_requested": on_from(at), "reason": on_from(at, OFF_PATH)}
     distance = 9.0 * at + 81.0 / 4.0
