@@ -8,7 +8,7 @@ import numpy as np
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.metrics import LOST, DriveRecord, distance_driven
-from ampc_msgs_config.scenarios.scenario import END_DECELERATION, STAND_OFF
+from ampc_msgs_config.paths.path import END_DECELERATION, STAND_OFF
 from ampc_msgs_config.types import REASONS, Array
 from launch_scripts.bags.bag_columns import BagColumns
 

@@ -9,6 +9,7 @@ import pytest
 from ampc_msgs_config.config import find
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.csv_columns import MAX_CSV_BYTES, MAX_POINTS, tangent_plane
+from ampc_msgs_config.paths.path import END_DECELERATION
 from ampc_msgs_config.paths.path_file import (
     Route,
     SpeedLimits,
@@ -16,7 +17,7 @@ from ampc_msgs_config.paths.path_file import (
     from_csv,
 )
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.scenario import END_DECELERATION, Scenario, speed_at
+from ampc_msgs_config.scenarios.scenario import Scenario, speed_at
 from ampc_msgs_config.vehicle_file import load_section
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.curves import ISO_ENTRY, q
-from ampc_msgs_config.paths.path import point_at, project
+from ampc_msgs_config.paths.path import STAND_OFF, point_at, project
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import (
     POINT_SPACING,
     SPEED_PREVIEW,
-    STAND_OFF,
     Scenario,
     SpeedPlanner,
     SpeedProfile,

@@ -16,6 +16,12 @@ MAX_PROJECTION_DISTANCE = 25.0
 NOT_CAUGHT = -(2**62)
 """Index before the first projection; -1 is a valid index behind the start of a closed path."""
 
+STAND_OFF = 1.5
+"""Distance of the stand from the end of the path: `odom` describes the rear axle, and the centre of
+gravity, which is projected onto the path, lies ahead of it [m]."""
+END_DECELERATION = 1.5
+"""Deceleration at the end of an open path, below that of a stop request [m/s^2]."""
+
 
 class Path(NamedTuple):
     """Smooth curve, sampled at equal steps of arc length; argument of compiled code."""

@@ -19,7 +19,7 @@ from ampc_msgs_config.paths.curves import (
     q,
     stretched,
 )
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, advance
+from ampc_msgs_config.paths.path import END_DECELERATION, NOT_CAUGHT, STAND_OFF, Path, advance
 from ampc_msgs_config.paths.path_fitting import cached_path
 from ampc_msgs_config.scenarios.wind import Wind, wind_of_steps
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
@@ -35,11 +35,6 @@ RUN_OUT = 60.0
 """Least distance by which analytic paths continue beyond the end of the drive [m]."""
 RUN_OUT_TIME = 1.2
 """Time at the final speed in that distance, in addition to the braking distance [s]."""
-STAND_OFF = 1.5
-"""Distance of the stand from the end of the path: `odom` describes the rear axle, and the centre of
-gravity, which is projected onto the path, lies ahead of it [m]."""
-END_DECELERATION = 1.5
-"""Deceleration at the end of an open path, below that of a stop request [m/s^2]."""
 MOVING = 0.3
 """Speed from which a car has left its start [m/s]."""
 SPEED = number(0.0, 100.0, "m/s", "Target speed.")

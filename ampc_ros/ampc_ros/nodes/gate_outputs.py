@@ -96,10 +96,13 @@ class GateOutputs:
         return True
 
     def publish_state(self, state: GateState) -> None:
-        """Publish a changed state, and request a stop or take the request back with it."""
+        """Publish a changed state, and request a stop or take the request back with it.
+
+        The first message of a publisher must be False: the planner tells publishers apart by it.
+        """
         if state is self.state:
             return
-        if (state in STOPS) != (self.state in STOPS):
+        if self.state is None or (state in STOPS) != (self.state in STOPS):
             self.stops.publish(Bool(data=state in STOPS))
         self.states.publish(String(data=state.value))
         self.state = state
