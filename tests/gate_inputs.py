@@ -33,7 +33,7 @@ def plan_message(
     steering: SteeringParameters = ros.ROAD_WHEEL,
 ) -> JointTrajectory:
     """Return a plan at constant speed, whose first half is the optimised part."""
-    message = JointTrajectory(joint_names=topics.PLAN_JOINTS[:2])
+    message = JointTrajectory(joint_names=list(topics.PLAN_JOINTS[:2]))
     for i, angle in enumerate(angles):
         point = JointTrajectoryPoint()
         point.positions = [steering.position(angle), i * dt * speed]
