@@ -1,0 +1,66 @@
+"""Simulated clocks that stop, jump, go back, or are not there."""
+
+import time
+from collections.abc import Callable, Iterator
+
+from ampc_msgs_config.types import NANOSECONDS
+from tests.workshop.attacks.attempts import Attempt, Choice
+from tests.workshop.attacks.live import Session, attacks_on, parameters_of, session
+
+PAUSE = 2.0
+"""Time for which a clock stands [s]."""
+LIMIT = 0.5
+"""Longest time without a command, or a stop request, in wall time [s]."""
+
+
+def attempts(choice: Choice) -> Iterator[Attempt]:
+    """Attack a controller with `use_sim_time` by its clock; the gate has a steady one."""
+    attacks: dict[str, Callable[[Session], object]] = {
+        "stops while odometry goes on": stopping,
+        "stops, starts again": lambda live: [stopping(live), live.auditor.run(1.0)][0],
+        "half as fast": lambda live: running(live, 0.5),
+        "twice as fast": lambda live: running(live, 2.0),
+    }
+    for seconds in (0.2, 3.0, 1000.0, -0.2, -3.0):
+        attacks[f"jumps by {seconds:+g} s"] = lambda live, s=seconds: jumping(live, s)
+    yield from attacks_on(choice, attacks, parameters_of(use_sim_time=True), simulated=True)
+    if choice.has("none"):
+        yield without_clock(choice)
+
+
+def running(live: Session, rate: float) -> None:
+    """Run the clock at another rate for a time."""
+    live.auditor.clock_rate = rate
+    live.auditor.run(PAUSE)
+    live.auditor.clock_rate = 1.0
+
+
+def stopping(live: Session) -> str:
+    """Stop the clock for a time; commands or a stop request must follow within the limit."""
+    live.auditor.clock_rate = 0.0
+    begin = time.monotonic()
+    live.auditor.run(PAUSE, lambda: live.auditor.is_stopping)
+    took, allowed = time.monotonic() - begin, LIMIT + 2.0 * live.auditor.lag
+    live.auditor.run(max(PAUSE - took, 0.0))
+    live.auditor.clock_rate = 1.0
+    return "" if took <= allowed else f"no stop request within {allowed:.2f} s: {took:.2f} s"
+
+
+def jumping(live: Session, seconds: float) -> None:
+    """Let the clock jump once."""
+    assert live.auditor.simulated_ns is not None
+    jump_ns = int(seconds * NANOSECONDS)
+    live.auditor.simulated_ns = max(live.auditor.simulated_ns + jump_ns, NANOSECONDS)
+    live.auditor.run(1.0)
+
+
+def without_clock(choice: Choice) -> Attempt:
+    """Start with `use_sim_time` where nobody publishes a clock: no command, and a diagnosis."""
+    name = "none"
+    try:
+        with session(choice.folder / "none", parameters_of(use_sim_time=True), limit=15.0):
+            return Attempt(choice.area, name, "the car drives without a clock")
+    except ValueError as error:
+        text = str(error)
+    failure = "" if "clock" in text else f"the clock is not named: {text}"
+    return Attempt(choice.area, name, failure)
