@@ -8,13 +8,17 @@ the same attacks. Exit code 1: an attempt failed; it is named so that `--only` r
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from launch_scripts.reporting.pages import markdown_table
@@ -34,6 +38,9 @@ AREAS = {
 }
 """Modules `<area>_attacks` and their titles."""
 BEGIN, END = "<!-- table of attack.py -->", "<!-- end of the table -->"
+ASIDE = ("file", "bag", "recorder", "environment")
+"""Areas that run in another process and ROS domain beside the others."""
+DOMAINS = 200
 OUTCOMES = ("survived", "failed", "inconclusive")
 Area = Callable[[Choice], Iterator[Attempt]]
 
@@ -41,18 +48,47 @@ Area = Callable[[Choice], Iterator[Attempt]]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the attacks and return the exit code."""
     chosen, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
-    area, _, name = chosen.only.partition("/")
-    attempts = list[Attempt]()
-    for each in [area] if area else AREAS:
-        begin = time.monotonic()
-        choice = Choice(chosen.seed, chosen.output / each, each, name)
-        found = list(printed(run(choice), console))
-        attempts += found
-        counts = Counter(attempt.outcome for attempt in found)
-        seconds = time.monotonic() - begin
-        console.print(f"{each}: {len(found)} attempts, {dict(counts)}, {seconds:.0f} s")
+    begin = time.monotonic()
+    if chosen.only:
+        attempts = run_areas([chosen.only], chosen.seed, chosen.output)
+    else:
+        with ProcessPoolExecutor(1, get_context("spawn"), use_domain, (other_domain(),)) as pool:
+            rest = pool.submit(run_areas, ASIDE, chosen.seed, chosen.output)
+            live = [area for area in AREAS if area not in ASIDE]
+            attempts = run_areas(live, chosen.seed, chosen.output) + rest.result()
     report(attempts, chosen, console)
-    return int(any(attempt.failure for attempt in attempts))
+    console.print(f"{time.monotonic() - begin:.0f} s")
+    return int(any(attempt.outcome == "failed" for attempt in attempts))
+
+
+def other_domain() -> str:
+    """Return another ROS domain than that of this process."""
+    return str((int(os.environ.get("ROS_DOMAIN_ID") or 0) + 1) % DOMAINS)
+
+
+def use_domain(number: str) -> None:
+    """Use a ROS domain in this process."""
+    os.environ["ROS_DOMAIN_ID"] = number
+
+
+def run_areas(names: Sequence[str], seed: int, output: Path) -> list[Attempt]:
+    """Run areas one after the other, and print what did not survive.
+
+    Args:
+        names: Areas, or `area/attack`.
+        seed: Seed of all attacks.
+        output: Folder of results and logs.
+    """
+    console, attempts = Console(highlight=False, soft_wrap=True), list[Attempt]()
+    for each in names:
+        area, _, name = each.partition("/")
+        begin = time.monotonic()
+        found = list(printed(run(Choice(seed, output / area, area, name)), console))
+        attempts += found
+        counts = dict(Counter(attempt.outcome for attempt in found))
+        seconds = time.monotonic() - begin
+        console.print(f"{area}: {len(found)} attempts, {counts}, {seconds:.0f} s")
+    return attempts
 
 
 def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -92,13 +128,14 @@ def printed(attempts: Iterator[Attempt], console: Console) -> Iterator[Attempt]:
 
 def table(attempts: Sequence[Attempt]) -> str:
     """Return the counts as a Markdown table."""
-    rows = []
+    rows = list[tuple[str, list[int]]]()
     for area, title in AREAS.items():
         found = Counter(attempt.outcome for attempt in attempts if attempt.area == area)
         if found:
-            rows.append((title, found.total(), *(found[outcome] for outcome in OUTCOMES)))
-    total = [sum(row[i] for row in rows) for i in range(1, 5)]
-    lines = markdown_table(("area", "attempts", *OUTCOMES), [*rows, ("all", *total)], "r")
+            rows.append((title, [found.total(), *(found[outcome] for outcome in OUTCOMES)]))
+    rows.append(("all", np.sum([counts for _, counts in rows], axis=0).tolist()))
+    cells = [(title, *counts) for title, counts in rows]
+    lines = markdown_table(("area", "attempts", *OUTCOMES), cells, "r")
     return "\n".join(lines) + "\n"
 
 

@@ -59,11 +59,13 @@ class Limits:
 
     def __init__(self) -> None:
         """Read the files."""
-        self.road = yaml.safe_load(shipped("guards")["road"].read_text("utf-8"))
-        chassis = yaml.safe_load(shipped("vehicles")["paper"].read_text("utf-8"))["chassis"]
+        self.road: dict[str, Any] = yaml.safe_load(shipped("guards")["road"].read_text("utf-8"))
+        chassis: dict[str, float] = yaml.safe_load(shipped("vehicles")["paper"].read_text("utf-8"))[
+            "chassis"
+        ]
         l_f, l_r = chassis["cg_to_front_axle"], chassis["cg_to_rear_axle"]
         C_f, C_r = chassis["front_cornering_stiffness"], chassis["rear_cornering_stiffness"]
-        self.wheelbase = l_f + l_r
+        self.wheelbase: float = l_f + l_r
         self.understeer = chassis["mass"] / self.wheelbase * (l_r / C_f - l_f / C_r) / 2.0
 
     def length(self, speed: float) -> float:
@@ -116,8 +118,8 @@ class Auditor(Node):
         self.path = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         if simulated:
             self.clock_out = self.create_publisher(Clock, ros.CLOCK, ros.RELIABLE)
-        every = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.RELIABLE)
-        listen = self.create_subscription
+        every = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.RELIABLE)  # type: ignore[no-untyped-call]
+        listen: Any = self.create_subscription
         listen(JointState, ros.STEERING_COMMAND, self.on_command, every)
         listen(JointState, ros.GATE_STEERING, self.on_gate, every)
         listen(TwistStamped, ros.GATE_SPEED, self.on_gate_speed, every)
@@ -236,11 +238,15 @@ class Auditor(Node):
         """Place the car on the circle, in motion, with the wheel as it is."""
         self.x, self.y, self.yaw, self.v = 0.0, 0.0, 0.0, SPEED
 
-    def publish_path(self) -> None:
-        """Publish the circle."""
+    def path_message(self) -> PathMessage:
+        """Return the circle."""
         angles = np.linspace(0.0, 2.0 * math.pi, 360)
         points = np.column_stack((RADIUS * np.sin(angles), RADIUS * (1.0 - np.cos(angles))))
-        self.path.publish(ros.path_message(points, self.now_ns))
+        return ros.path_message(points, self.now_ns)
+
+    def publish_path(self) -> None:
+        """Publish the circle."""
+        self.path.publish(self.path_message())
 
     def step_car(self, dt: float) -> None:
         """Move the car by a time [s], along the steady circle of its wheel."""

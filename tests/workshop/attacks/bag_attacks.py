@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import zstandard
@@ -40,7 +41,7 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     attacks: dict[str, Callable[[], str]] = {}
     for name, make in special_bags(choice).items():
         for command in COMMANDS if name in DEEP else COMMANDS[:1]:
-            attacks[f"{command}, {name}"] = lambda c=command, n=name, m=make: read(choice, c, n, m)
+            attacks[f"{command}, {name}"] = partial(read, choice, command, name, make)
     yield from choice.attempts(attacks)
 
 

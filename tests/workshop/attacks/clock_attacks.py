@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from ampc_msgs_config.types import NANOSECONDS
 from tests.workshop.attacks.attempts import Attempt, Choice
@@ -17,18 +18,18 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     """Attack a controller with `use_sim_time` by its clock; the gate has a steady one."""
     attacks: dict[str, Callable[[Session], object]] = {
         "stops while odometry goes on": stopping,
-        "stops, starts again": lambda live: [stopping(live), live.auditor.run(1.0)][0],
-        "half as fast": lambda live: running(live, 0.5),
-        "twice as fast": lambda live: running(live, 2.0),
+        "stops, starts again": stopping_twice,
+        "half as fast": partial(running, 0.5),
+        "twice as fast": partial(running, 2.0),
     }
     for seconds in (0.2, 3.0, 1000.0, -0.2, -3.0):
-        attacks[f"jumps by {seconds:+g} s"] = lambda live, s=seconds: jumping(live, s)
+        attacks[f"jumps by {seconds:+g} s"] = partial(jumping, seconds)
     yield from attacks_on(choice, attacks, parameters_of(use_sim_time=True), simulated=True)
     if choice.has("none"):
         yield without_clock(choice)
 
 
-def running(live: Session, rate: float) -> None:
+def running(rate: float, live: Session) -> None:
     """Run the clock at another rate for a time."""
     live.auditor.clock_rate = rate
     live.auditor.run(PAUSE)
@@ -46,7 +47,14 @@ def stopping(live: Session) -> str:
     return "" if took <= allowed else f"no stop request within {allowed:.2f} s: {took:.2f} s"
 
 
-def jumping(live: Session, seconds: float) -> None:
+def stopping_twice(live: Session) -> str:
+    """Stop the clock, let it run for a second, and stop it again."""
+    failure = stopping(live)
+    live.auditor.run(1.0)
+    return failure or stopping(live)
+
+
+def jumping(seconds: float, live: Session) -> None:
     """Let the clock jump once."""
     assert live.auditor.simulated_ns is not None
     jump_ns = int(seconds * NANOSECONDS)

@@ -8,6 +8,7 @@ import math
 import random
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,11 +52,11 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
             rng = choice.rng(name)
             file = rng.choice([each for of_kind, each in files if of_kind is kind])
             mutant = mutate(file.read_text("utf-8"), rng)
-            failure = outcome_of(lambda k=kind, f=file, m=mutant: load_mutant(choice, k, f, m))
+            failure = outcome_of(partial(load_mutant, choice, kind, file, mutant))
             shown = f"{file.name}, {mutant.what}: {failure}"
             yield Attempt(choice.area, name, one_line(shown) if failure else "")
     attacks: dict[str, Callable[[], str]] = {
-        f"path file {name}": lambda t=text: load_table(choice, t)
+        f"path file {name}": partial(load_table, choice, text)
         for name, text in path_files(choice).items()
     }
     yield from choice.attempts(attacks)
@@ -85,10 +86,12 @@ def mutate(text: str, rng: random.Random) -> Mutant:
     if kind == "indent":
         lines[row] = rng.choice([" ", "\t", "  ", "- ", "? "]) + line
         return Mutant(f"indent of line {row + 1}", "\n".join(lines))
-    content, at = list(text), rng.randrange(len(text))
+    characters, at = list(text), rng.randrange(len(text))
     for _ in range(rng.choice([1, 1, 3, 20])):
-        content[min(at + rng.randrange(20), len(text) - 1)] = rng.choice("[]{}:,#&*!|>'\"%@`\0 \n9")
-    return Mutant(f"characters at {at}", "".join(content))
+        characters[min(at + rng.randrange(20), len(text) - 1)] = rng.choice(
+            "[]{}:,#&*!|>'\"%@`\0 \n9"
+        )
+    return Mutant(f"characters at {at}", "".join(characters))
 
 
 def load_mutant(choice: Choice, kind: Kind, original: Path, mutant: Mutant) -> str:
@@ -112,7 +115,7 @@ def is_plain(text: str) -> bool:
     if text in ("", "~", "[]", "{}", ".inf", "-.inf", "&a 1", "!!int 3"):
         return True  # a default value, infinity, or an anchored or tagged number
     try:
-        return math.isfinite(float(text)) and "_" not in text and text[:1] != "0" or text == "0"
+        return text == "0" or (math.isfinite(float(text)) and "_" not in text and text[0] != "0")
     except ValueError:
         return False
 
@@ -121,7 +124,7 @@ def load_as(kind: Kind, file: Path) -> Any:
     """Load a file of a kind by all functions of the product that read it."""
     if kind.name == "vehicle":
         return load_vehicle_file(file)
-    content = build(kind.content, read(file), str(file))
+    content: Any = build(kind.content, read(file), str(file))
     if kind.name == "scenario":
         drive = load_scenario(str(file), SIZE)
         return content, drive.duration, drive.speed, drive.wind
@@ -164,7 +167,7 @@ def path_files(choice: Choice) -> dict[str, bytes]:
         + "".join(f"{rng.uniform(-9, 9)},{rng.uniform(-9, 9)},8\n" for _ in range(300)),
         "comment lines only": "# x\n" * 1000,
     }
-    contents = {name: text.encode() for name, text in texts.items()}
+    contents: dict[str, bytes] = {name: text.encode() for name, text in texts.items()}
     contents["null characters"] = plain.encode().replace(b",8.0", b",\0", 9)
     contents["latin-1"] = plain.encode() + b"\xe4,1,8\n"
     contents["utf-16"] = plain.encode("utf-16")

@@ -1,7 +1,8 @@
 """The whole graph with the gate: each node is killed and started again, and stopped for a time."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import rclpy
 
@@ -19,11 +20,11 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     """Kill and stop nodes of a drive in real time; a failed moment is followed by another drive."""
     moments: dict[str, Callable[[Restarts, float], str]] = {}
     for name in WITH_GATE:
-        moments[f"{name} killed"] = lambda graph, t, n=name: graph.moment((n,), t)
-        moments[f"{name} stopped"] = lambda graph, t, n=name: graph.freeze(n, t)
+        moments[f"{name} killed"] = partial(kill, (name,))
+        moments[f"{name} stopped"] = partial(freeze, name)
     for pair in PAIRS:
         title = " and ".join(pair)
-        moments[f"{title} killed"] = lambda graph, t, n=pair: graph.moment(n, t)
+        moments[f"{title} killed"] = partial(kill, pair)
     left = [name for name in moments if choice.has(name)]
     os.environ.update(ros_environment())
     number = 0
@@ -41,6 +42,16 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
                         break
         finally:
             rclpy.shutdown()
+
+
+def kill(names: Sequence[str], graph: Restarts, pause: float) -> str:
+    """Kill nodes and start them again."""
+    return graph.moment(names, pause)
+
+
+def freeze(name: str, graph: Restarts, pause: float) -> str:
+    """Stop a node for a time."""
+    return graph.freeze(name, pause)
 
 
 def one_moment(

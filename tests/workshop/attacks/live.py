@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from launch_scripts.run.processes import Processes, ros_environment
@@ -19,7 +20,7 @@ START = 240.0
 """Longest time until the car drives, with compilation [s]."""
 RECOVERY = 25.0
 """Longest time until the car drives again; a killed node stays visible for 20 s [s]."""
-WATCHED = 1.2
+WATCHED = 0.8
 """Time for which the commands are watched after an attack [s]."""
 RESET_PERIOD = 1.0
 LARGEST_ERROR = 1.5
@@ -86,7 +87,7 @@ class Session:
         for name, code in self.nodes.ended().items():
             return f"{name} ended with {code}: {self.nodes.last_line(name)}"
         lines = {name: self.nodes.lines(name) for name in self.nodes.running}
-        found = {n: sum(l.startswith("Traceback") for l in each) for n, each in lines.items()}
+        found = {n: sum(line.startswith("Traceback") for line in each) for n, each in lines.items()}
         before, self.tracebacks = self.tracebacks, sum(found.values())
         return f"traceback: {found}" if self.tracebacks > before else ""
 
@@ -151,7 +152,7 @@ def session(
             live.ended()
             yield live
     finally:
-        auditor.destroy_node()
+        auditor.destroy_node()  # type: ignore[no-untyped-call]
         context.try_shutdown()
 
 
@@ -179,7 +180,7 @@ def attacks_on(
         with session(logs, parameters, period, simulated=simulated) as live:
             while left:
                 name = left.pop(0)
-                attempt = live.attack(choice.area, name, lambda n=name: attacks[n](live))
+                attempt = live.attack(choice.area, name, partial(attacks[name], live))
                 yield attempt
                 if attempt.outcome != "survived":
                     break

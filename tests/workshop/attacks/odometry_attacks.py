@@ -2,7 +2,9 @@
 
 import copy
 import math
+import random
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from nav_msgs.msg import Odometry
 
@@ -11,7 +13,7 @@ from tests.workshop.attacks.attempts import Attempt, Choice
 from tests.workshop.attacks.auditor import RATE, Faulty
 from tests.workshop.attacks.live import Session, attacks_on, parameters_of
 
-DURATION = 1.0
+DURATION = 0.7
 """Of an attack [s]."""
 SHARE = 0.5
 """Share of the messages that are hostile, where sound ones come between them."""
@@ -24,22 +26,27 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     return attacks_on(choice, attacks, parameters_of())
 
 
-def sending(choice: Choice, name: str, change: Callable[[Odometry], object]) -> Callable:
-    """Return an attack that changes a random half of the messages, then all for a time."""
+def sending(
+    choice: Choice, name: str, change: Callable[[Odometry], object]
+) -> Callable[[Session], object]:
+    """Return an attack that changes a random half of the messages, then all, for a time each."""
 
     def attack(live: Session) -> None:
         rng = choice.rng(name)
-
-        def faulty(message: Odometry) -> Iterable[Odometry]:
-            if rng.random() < live.share:
-                change(message)
-            return [message]
-
-        live.auditor.faulty = faulty
-        for live.share in (SHARE, 1.0):
+        for share in (SHARE, 1.0):
+            live.auditor.faulty = partial(changed, rng, share, change)
             live.auditor.run(DURATION)
 
     return attack
+
+
+def changed(
+    rng: random.Random, share: float, change: Callable[[Odometry], object], message: Odometry
+) -> list[Odometry]:
+    """Return a message, changed in a share of all calls."""
+    if rng.random() < share:
+        change(message)
+    return [message]
 
 
 def streaming(make: Callable[[], Faulty]) -> Callable[[Session], None]:
@@ -65,7 +72,7 @@ def changes() -> dict[str, Callable[[Odometry], object]]:
     for name, q in QUATERNIONS.items():
         attacks[f"quaternion {name}"] = turner(q)
     for name in ("", "other", "/map", "m" * 10_000, "k\u00e4rt\U0001f697"):
-        attacks[f"frame {name[:8]!r}"] = lambda m, n=name: setattr(m.header, "frame_id", n)
+        attacks[f"frame {name[:8]!r}"] = partial(set_frame, name)
     attacks["child frame"] = lambda m: setattr(m, "child_frame_id", "c" * 10_000)
     attacks["position jump 3 m"] = lambda m: add(m.pose.pose.position, "y", 3.0)
     attacks["position jump 1 km"] = lambda m: add(m.pose.pose.position, "x", 1000.0)
@@ -98,6 +105,11 @@ def setter(path: str, value: float) -> Callable[[Odometry], object]:
         setattr(owner, field, value)
 
     return change
+
+
+def set_frame(name: str, message: Odometry) -> None:
+    """Set the frame."""
+    message.header.frame_id = name
 
 
 def add(owner: object, field: str, value: float) -> None:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -14,7 +15,7 @@ from tests.workshop.attacks.attempts import Attempt, Choice
 from tests.workshop.attacks.auditor import RADIUS
 from tests.workshop.attacks.live import Session, attacks_on, parameters_of
 
-WATCHED = 1.5
+WATCHED = 1.2
 """Time for which a path is offered [s]."""
 MANY = 100_000
 """Points of the largest path."""
@@ -28,7 +29,7 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     attacks |= {f"changed: {name}": changing(change) for name, change in changes().items()}
     rng = choice.rng("bytes")
     for share in (0.1, 0.5, 0.9):
-        attacks[f"bytes cut at {share:g}"] = raw(lambda data, s=share: data[: int(s * len(data))])
+        attacks[f"bytes cut at {share:g}"] = raw(partial(cut, share))
     attacks["bytes random"] = raw(lambda data: data[:4] + rng.randbytes(2000))
     attacks["bytes none"] = raw(lambda _: b"")
     attacks["bytes flipped"] = raw(lambda data: flipped(data, rng.randrange(8 * len(data))))
@@ -98,12 +99,7 @@ def message_of(live: Session, points: Array) -> Path:
 
 def circle_of(live: Session) -> Path:
     """Return the path of the auditor as a message."""
-    kept: list[Path] = []
-    publish = live.auditor.path.publish
-    live.auditor.path.publish = kept.append  # type: ignore[method-assign]
-    live.auditor.publish_path()
-    live.auditor.path.publish = publish  # type: ignore[method-assign]
-    return kept[0]
+    return live.auditor.path_message()
 
 
 def publishing(points: Array) -> Callable[[Session], object]:
@@ -122,7 +118,9 @@ def changing(change: Callable[[Path], object]) -> Callable[[Session], object]:
     return attack
 
 
-def raw(change: Callable[[bytes], bytes], points: Array | None = None) -> Callable:
+def raw(
+    change: Callable[[bytes], bytes], points: Array | None = None
+) -> Callable[[Session], object]:
     """Return an attack by the changed bytes of the circle, or by those of points."""
 
     def attack(live: Session) -> None:
@@ -142,6 +140,11 @@ def offer(live: Session, data: bytes) -> None:
     live.auditor.path.publish(data)
     live.auditor.run(WATCHED)
     live.auditor.publish_path()
+
+
+def cut(share: float, data: bytes) -> bytes:
+    """Return the beginning of bytes."""
+    return data[: int(share * len(data))]
 
 
 def flipped(data: bytes, bit: int) -> bytes:

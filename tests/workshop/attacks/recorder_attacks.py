@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from launch_scripts.run.processes import ros_environment
@@ -34,16 +35,16 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
             what = f"lost {kill.loss:.2f} s of {BOUND:g}, gaps {kill.gaps}, opens {kill.opened}"
             yield Attempt(choice.area, f"kill {number}", "" if kill.is_good else what)
     attacks: dict[str, Callable[[], str]] = {
-        f"{number.name}": lambda n=number: signalled(choice, n)
+        f"{number.name}": partial(signalled, choice, number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
     }
     for name, damage in DAMAGES.items():
-        attacks[name] = lambda n=name, d=damage: damaged(choice, n, d)
+        attacks[name] = partial(damaged, choice, name, damage)
     for name, path in {
         "read-only folder": "/proc/bag",
         "path below a file": "/dev/null/bag",
     }.items():
-        attacks[name] = lambda p=path: refused(p)
+        attacks[name] = partial(refused, path)
     yield from choice.attempts(attacks)
 
 
