@@ -39,8 +39,8 @@ TOLERANCE = 0.004
 WINDOW = 1.0
 """The guard may use any speed that was published within this time [s]."""
 QUEUE = 500
-MEMORY = 3
-"""Commands from which the next one must be within reach."""
+MEMORY = 2
+"""Commands that the audit remembers."""
 ACCURACY = 1e-6
 Faulty = Callable[[Odometry], Iterable[Odometry]]
 
@@ -52,6 +52,8 @@ class Heard(NamedTuple):
     """Source time: when it was published [s]."""
     angle: float
     """Road-wheel angle [rad]."""
+    stamp_ns: int = 0
+    """Stamp, which a repeated command keeps [ns]."""
 
 
 class Limits:
@@ -105,6 +107,8 @@ class Auditor(Node):
         self.speeds: list[tuple[float, float]] = [(0.0, 0.0)]
         self.audits_commands = True
         """False while several controllers command: only the gate is audited then."""
+        self.awaits_start, self.start_step = False, 0.0
+        """Whether a controller starts, and how far from the wheel its first command is [rad]."""
         self.last: dict[str, list[Heard]] = {}
         self.state = ""
         self.stops: set[bool] = set()
@@ -142,6 +146,8 @@ class Auditor(Node):
     def on_command(self, message: JointState, info: Any) -> None:
         """Audit a command of a controller, and the time since the one before."""
         at = info["source_timestamp"] / NANOSECONDS
+        if self.awaits_start:
+            self.awaits_start, self.start_step = False, abs(message.position[0] - self.wheel)
         self.gap = max(self.gap, at - max(self.heard_at, self.begun))
         self.heard_at = at
         if self.audits_commands:
@@ -185,33 +191,36 @@ class Auditor(Node):
             return
         if abs(angle) > max(self.limits.road["max_angle"]) + ACCURACY:
             self.violations.append(f"{topic}: angle {angle:.4f} is beyond the largest one")
-        before, new = self.last.get(topic, []), Heard(at, angle)
-        if topic == ros.GATE_STEERING and before and before[0].angle == angle:
+        before, new = (
+            self.last.get(topic, []),
+            Heard(at, angle, ros.nanoseconds(message.header.stamp)),
+        )
+        is_repeated = before and before[0].angle == angle and before[0].stamp_ns == new.stamp_ns
+        if before and before[0].angle == angle and (is_repeated or topic == ros.GATE_STEERING):
             return  # the gate's guard counts the time since the last change
         self.last[topic] = [new, *before][:MEMORY]
         if before:
             self.audit_step(topic, new, before)
 
     def audit_step(self, topic: str, new: Heard, before: list[Heard]) -> None:
-        """Check that a command is within reach of those before.
+        """Check that a command is within reach of the one before.
 
-        A command whose publication was delayed seems to be followed too soon by the next one, so
-        the step counts where it is too large from each of the last commands. A step beyond two
-        periods' worth counts always.
+        Where the one before was published late, it gets that time in addition.
         """
+        last, late = before[0], TOLERANCE
+        if topic == ros.STEERING_COMMAND and len(before) > 1:
+            late += min(max(last.time - before[1].time - self.period, 0.0), self.period)
         speeds = [v for then, v in self.speeds if time.monotonic() - then < WINDOW] or [self.v]
         allowed = max(map(self.limits.rate, speeds))
-        most = allowed * 2.0 * self.period + ACCURACY
-        steps = [(abs(new.angle - old.angle), max(new.time - old.time, 0.0)) for old in before]
+        step, elapsed = abs(new.angle - last.angle), max(new.time - last.time, 0.0)
 
-        def is_reachable(late: float) -> bool:
-            return any(step <= allowed * (elapsed + late) + ACCURACY for step, elapsed in steps)
+        def reach(time: float) -> float:
+            return allowed * min(time, 2.0 * self.period) + ACCURACY
 
-        step, elapsed = steps[0]
-        if step <= most and is_reachable(TOLERANCE):
+        if step <= reach(elapsed + late):
             return
         text = f"{topic}: step of {step:.4f} rad after {elapsed:.4f} s, allowed {allowed:.3f} rad/s"
-        excused = step <= most and is_reachable(self.lag)
+        excused = step <= reach(elapsed + late + self.lag)
         (self.doubts if excused else self.violations).append(text)
 
     @property

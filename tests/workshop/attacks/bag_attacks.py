@@ -129,6 +129,7 @@ def read(choice: Choice, command: str, name: str, make: Callable[[Path], object]
         return f"no end within {PATIENCE:g} s"
     if "Traceback" in done.stderr or done.returncode not in (0, 1, 2):
         return f"exit code {done.returncode}: {done.stderr[-250:]}"
-    if done.returncode == 2 and len(done.stderr.strip().splitlines()) != 1:
-        return f"{len(done.stderr.splitlines())} lines: {done.stderr[-250:]}"
+    errors = [line for line in (done.stdout + done.stderr).splitlines() if "error: " in line]
+    if done.returncode == 2 and len(errors) != 1:
+        return f"{len(errors)} error lines: {done.stderr[-250:]}"
     return ""

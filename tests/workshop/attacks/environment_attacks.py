@@ -53,14 +53,14 @@ def attempts(choice: Choice) -> Iterator[Attempt]:
     attacks["closed stdin, controller"] = starting(choice, "controller", prefix="exec <&-")
     attacks["closed stdin, gate"] = starting(choice, "gate", prefix="exec <&-")
     attacks["closed stdout, gate"] = starting(choice, "gate", prefix="exec >&-")
-    for size in (100_000, 400_000, 600_000):
+    for size in (400_000, 600_000):
         attacks[f"ulimit -v {size}, gate"] = starting(choice, "gate", prefix=f"ulimit -v {size}")
     attacks["ulimit -v 600000, controller"] = starting(
         choice, "controller", prefix="ulimit -v 600000"
     )
     attacks["ulimit -n 20, gate"] = starting(choice, "gate", prefix="ulimit -n 20")
     for number in (signal.SIGINT, signal.SIGTERM):
-        for delay in (0.05, 0.3, 1.0):
+        for delay in (0.3, 1.0, 3.0):
             name = f"{number.name} after {delay:g} s, controller"
             attacks[name] = partial(interrupted, number, delay)
     return choice.attempts(attacks)

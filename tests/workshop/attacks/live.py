@@ -25,6 +25,8 @@ WATCHED = 0.8
 RESET_PERIOD = 1.0
 LARGEST_ERROR = 1.5
 """Distance from the circle beyond which the car is placed on it again [m]."""
+REPEATED = 2
+"""Repetitions of an inconclusive attempt."""
 STARVED = 0.3
 """Delay of the auditor's own timer that makes an attempt inconclusive [s]."""
 
@@ -173,14 +175,18 @@ def attacks_on(
 ) -> Iterator[Attempt]:
     """Run attacks on one session; a failure is followed by another session."""
     left = [name for name in attacks if choice.has(name)]
-    number = 0
+    number, repeated = 0, 0
     while left:
         number += 1
         logs = choice.folder / f"{choice.area}_{period:g}_{number}"
         with session(logs, parameters, period, simulated=simulated) as live:
             while left:
-                name = left.pop(0)
-                attempt = live.attack(choice.area, name, partial(attacks[name], live))
+                attempt = live.attack(choice.area, left[0], partial(attacks[left[0]], live))
+                if attempt.outcome == "inconclusive" and repeated < REPEATED:
+                    repeated += 1
+                    continue
                 yield attempt
-                if attempt.outcome != "survived":
+                left.pop(0)
+                repeated = 0
+                if attempt.outcome == "failed":
                     break

@@ -14,6 +14,8 @@ READY = 60.0
 """Longest time until a node that was started again is ready [s]."""
 NOTICED = 1.5
 """Longest time from a fault to a stop request, beyond twice the auditor's own delay [s]."""
+START_TOLERANCE = 0.01
+"""Movement of the wheel between the start of a controller and its first command [rad]."""
 SETTINGS = {0.1: "table3", 0.02: "50hz", 0.01: "100hz"}
 
 
@@ -43,8 +45,13 @@ def restarting(name: str, number: int) -> Callable[[Session], object]:
     def attack(live: Session) -> str:
         code = live.kill(name, number)
         stopped = live.auditor.run(NOTICED + 2.0 * live.auditor.lag, lambda: has_stop(live))
+        live.auditor.awaits_start = name == "controller"
         live.start(name)
         live.auditor.run(READY, lambda: is_ready(live, name))
+        live.auditor.run(2.0, lambda: not live.auditor.awaits_start)
+        most = live.auditor.limits.rate(0.0) * live.auditor.period + START_TOLERANCE
+        if live.auditor.start_step > most:
+            return f"the first command is {live.auditor.start_step:.3f} rad from the wheel"
         if number != signal.SIGKILL and code not in (0, 128 + number):
             return f"exit code {code}: {live.nodes.last_line(name)}"
         if name == "controller" or number != signal.SIGKILL:
