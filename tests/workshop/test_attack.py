@@ -11,6 +11,7 @@ import pytest
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ChassisParameters, GuardLimits
+from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.supervision.guard import bounds
 from tests.workshop.attacks import attack, file_attacks
@@ -108,7 +109,7 @@ def test_a_strange_number_of_a_path_file_is_refused_without_a_warning(
     choice = Choice(1, tmp_path, "file")
     assert load_table(choice, f"x_m,y_m,v_mps\n{rows}{row}\n".encode()) == ""
     with pytest.raises(ValueError, match=r"must (be a number|lie in)"):
-        file_attacks.from_csv(tmp_path / "path.csv")
+        from_csv(tmp_path / "path.csv")
     assert not recwarn.list
 
 

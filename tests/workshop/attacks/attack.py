@@ -38,6 +38,8 @@ AREAS = {
 }
 """Modules `<area>_attacks` and their titles."""
 BEGIN, END = "<!-- table of attack.py -->", "<!-- end of the table -->"
+LIVE = ("graph", "clock", "process", "odometry", "parameter", "path")
+"""Areas that attack running nodes."""
 ASIDE = ("file", "bag", "recorder", "environment")
 """Areas that run in another process and ROS domain beside the others."""
 DOMAINS = 200
@@ -54,8 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         with ProcessPoolExecutor(1, get_context("spawn"), use_domain, (other_domain(),)) as pool:
             rest = pool.submit(run_areas, ASIDE, chosen.seed, chosen.output)
-            live = [area for area in AREAS if area not in ASIDE]
-            attempts = run_areas(live, chosen.seed, chosen.output) + rest.result()
+            attempts = run_areas(LIVE, chosen.seed, chosen.output) + rest.result()
     report(attempts, chosen, console)
     console.print(f"{time.monotonic() - begin:.0f} s")
     return int(any(attempt.outcome == "failed" for attempt in attempts))

@@ -88,7 +88,7 @@ def freezing(name: str) -> Callable[[Session], object]:
 
 
 def doubling(live: Session, name: str) -> str:
-    """Run a second node of a kind; a stop must be requested, and diagnostics name both."""
+    """Run a second node of a kind; with a second controller, a stop must be requested."""
     live.auditor.audits_commands = False
     second = f"second_{name}"
     parameters = dict(live.parameters[name])
