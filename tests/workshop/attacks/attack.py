@@ -38,7 +38,7 @@ AREAS = {
 }
 """Modules `<area>_attacks` and their titles."""
 BEGIN, END = "<!-- table of attack.py -->", "<!-- end of the table -->"
-LIVE = ("graph", "clock", "process", "odometry", "parameter", "path")
+LIVE = ("graph", "process", "clock", "odometry", "parameter", "path")
 """Areas that attack running nodes."""
 ASIDE = ("file", "bag", "recorder", "environment")
 """Areas that run in another process and ROS domain beside the others."""

@@ -63,8 +63,8 @@ class CarWatch(Node):
         super().__init__("watch")
         self.state, self.since, self.arrived = "", math.inf, -math.inf
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, ros.NEWEST)
-        names = ("controller", "planner", "gate")
-        self.resets = [self.create_client(Trigger, f"{name}/reset_stop") for name in names]
+        names = ("controller/reset_stop", "planner/reset_stop", "gate/reset")
+        self.resets = [self.create_client(Trigger, name) for name in names]
 
     def on_odometry(self, message: Odometry) -> None:
         """Store what the car does, and since when."""
