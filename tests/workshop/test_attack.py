@@ -117,7 +117,7 @@ def test_the_table_counts_outcomes_and_replaces_that_of_a_page(tmp_path: Path) -
     attempts = [Attempt("file", "a"), Attempt("file", "b", "broke"), Attempt("bag", "c", "", "?")]
     page = tmp_path / "page.md"
     page.write_text(f"before\n{attack.BEGIN}\nold\n{attack.END}\nafter\n", "utf-8")
-    attack.update(page, attack.table(attempts))
+    attack.update(page, attack.table(attack.count(attempts)))
     text = page.read_text("utf-8")
     assert "old" not in text
     assert "| all | 3 | 1 | 1 | 1 |" in text
@@ -131,4 +131,14 @@ def test_one_attack_is_repeated_by_area_name_and_seed(
     only = ["--only", "file/path file words", "--output", str(tmp_path)]
     assert attack.main([*only, "--seed", "3"]) == 0
     assert "| all | 1 | 1 | 0 | 0 |" in capsys.readouterr().out
-    assert (tmp_path / "attack.json").is_file()
+    assert not (tmp_path / "attack.json").exists()
+
+
+def test_a_run_of_one_area_keeps_the_counts_of_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attack, "run", lambda choice: iter([Attempt(choice.area, "a")] * 2))
+    for area, seed in (("bag", "1"), ("file", "1"), ("path", "2")):
+        attack.main(["--only", area, "--seed", seed, "--output", str(tmp_path)])
+        rows = (tmp_path / "attack.md").read_text("utf-8").splitlines()[2:]
+        assert rows[-1].startswith("| all | 4 " if area == "file" else "| all | 2 ")

@@ -45,6 +45,7 @@ ASIDE = ("file", "bag", "recorder", "environment")
 DOMAINS = 200
 OUTCOMES = ("survived", "failed", "inconclusive")
 Area = Callable[[Choice], Iterator[Attempt]]
+Counts = dict[str, dict[str, int]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,29 +128,48 @@ def printed(attempts: Iterator[Attempt], console: Console) -> Iterator[Attempt]:
         yield attempt
 
 
-def table(attempts: Sequence[Attempt]) -> str:
+def count(attempts: Sequence[Attempt]) -> Counts:
+    """Return the number of attempts by area and outcome."""
+    return {
+        area: dict(Counter(a.outcome for a in attempts if a.area == area))
+        for area in AREAS
+        if any(a.area == area for a in attempts)
+    }
+
+
+def table(counts: Counts) -> str:
     """Return the counts as a Markdown table."""
-    rows = list[tuple[str, list[int]]]()
-    for area, title in AREAS.items():
-        found = Counter(attempt.outcome for attempt in attempts if attempt.area == area)
-        if found:
-            rows.append((title, [found.total(), *(found[outcome] for outcome in OUTCOMES)]))
-    rows.append(("all", np.sum([counts for _, counts in rows], axis=0).tolist()))
-    cells = [(title, *counts) for title, counts in rows]
-    lines = markdown_table(("area", "attempts", *OUTCOMES), cells, "r")
-    return "\n".join(lines) + "\n"
+    rows = [
+        (title, [counts[area].get(outcome, 0) for outcome in OUTCOMES])
+        for area, title in AREAS.items()
+        if area in counts
+    ]
+    rows.append(("all", np.sum([numbers for _, numbers in rows], axis=0).tolist()))
+    cells = [(title, sum(numbers), *numbers) for title, numbers in rows]
+    return "\n".join(markdown_table(("area", "attempts", *OUTCOMES), cells, "r")) + "\n"
 
 
 def report(attempts: Sequence[Attempt], chosen: argparse.Namespace, console: Console) -> None:
-    """Write the results, print the table, and put it into a page."""
+    """Write the results, print the table, and put it into a page.
+
+    A run of one area keeps the results of the others with the same seed.
+    """
     chosen.output.mkdir(parents=True, exist_ok=True)
+    file, counts = chosen.output / "attack.json", count(attempts)
     notable = [attempt._asdict() for attempt in attempts if attempt.outcome != "survived"]
-    counts = {area: Counter(a.outcome for a in attempts if a.area == area) for area in AREAS}
-    content = {"seed": chosen.seed, "counts": counts, "not survived": notable}
-    text = table(attempts)
-    (chosen.output / "attack.json").write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-    (chosen.output / "attack.md").write_text(text, "utf-8")
+    is_complete_area = chosen.only in AREAS
+    if is_complete_area and file.is_file():
+        before = json.loads(file.read_text("utf-8"))
+        if before["seed"] == chosen.seed:
+            counts = before["counts"] | counts
+            notable += [each for each in before["not survived"] if each["area"] != chosen.only]
+    text = table(counts)
     console.print(text, markup=False)
+    if chosen.only and not is_complete_area:
+        return
+    content = {"seed": chosen.seed, "counts": counts, "not survived": notable}
+    file.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+    (chosen.output / "attack.md").write_text(text, "utf-8")
     console.print(f"written to {chosen.output}", markup=False)
     if chosen.update:
         update(chosen.update, text)

@@ -145,4 +145,5 @@ def interrupted(number: int, delay: float) -> str:
     except subprocess.TimeoutExpired:
         process.kill()
         return "does not end"
-    return f"traceback: {text[-300:]}" if "Traceback" in text else ""
+    is_ours = "_node" in text  # before that, the interpreter itself is starting
+    return f"traceback: {text[-300:]}" if "Traceback" in text and is_ours else ""
