@@ -3,10 +3,11 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
+from ampc_msgs_config.types import NANOSECONDS
 from launch_scripts.run.processes import Processes, ros_environment
 from tests.workshop.attacks.attempts import Attempt, Choice, one_line
 from tests.workshop.attacks.auditor import RADIUS, SILENCE, Auditor, new_context
@@ -45,7 +46,7 @@ class Session:
             parameters: Parameters of each node that takes part.
         """
         self.nodes, self.auditor, self.parameters = nodes, auditor, parameters
-        self.tracebacks = 0
+        self.tracebacks, self.waited_before = 0, 0.0
         for name in parameters:
             self.start(name)
         auditor.publish_path()
@@ -93,6 +94,15 @@ class Session:
         before, self.tracebacks = self.tracebacks, sum(found.values())
         return f"traceback: {found}" if self.tracebacks > before else ""
 
+    def waited(self) -> float:
+        """Return how long the nodes have waited for a processor since their start [s]."""
+        waits = [0]
+        for process in self.nodes.running.values():
+            with suppress(OSError):  # it has ended
+                text = Path(f"/proc/{process.pid}/schedstat").read_text("ascii")
+                waits.append(int(text.split()[1]))
+        return sum(waits) / NANOSECONDS
+
     def audit(self) -> tuple[str, str]:
         """Return failure and doubt of an attack from what the auditor has heard."""
         auditor = self.auditor
@@ -104,6 +114,9 @@ class Session:
         silence = auditor.silence()
         if not failure and silence > SILENCE + 2.0 * auditor.lag and not auditor.is_stopping:
             failure = f"no command for {silence:.2f} s, and no stop is requested"
+            waited = self.waited() - self.waited_before
+            if silence < SILENCE + 2.0 * auditor.lag + waited:
+                failure, doubt = "", f"nodes waited {waited:.2f} s for a processor: {failure}"
         if failure and auditor.lag > STARVED and "ended" not in failure:
             failure, doubt = "", f"auditor {auditor.lag:.2f} s late: {failure}"
         return one_line(failure), one_line(doubt)
@@ -117,6 +130,7 @@ class Session:
             attack: Runs the auditor while it attacks; returns a failure of its own, if a text.
         """
         self.auditor.forget()
+        self.waited_before = self.waited()
         answer = attack()
         own = answer if isinstance(answer, str) else ""
         self.auditor.faulty = None
