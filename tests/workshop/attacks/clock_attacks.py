@@ -37,11 +37,15 @@ def running(rate: float, live: Session) -> None:
 
 
 def stopping(live: Session) -> str:
-    """Stop the clock for a time; commands or a stop request must follow within the limit."""
+    """Stop the clock for a time; a stop request must follow within the limit.
+
+    Time in which the nodes wait for a processor is added to the limit.
+    """
     live.auditor.clock_rate = 0.0
-    begin = time.monotonic()
+    begin, waited = time.monotonic(), live.waited()
     live.auditor.run(PAUSE, lambda: live.auditor.is_stopping)
-    took, allowed = time.monotonic() - begin, LIMIT + 2.0 * live.auditor.lag
+    took, waited = time.monotonic() - begin, live.waited() - waited
+    allowed = LIMIT + 2.0 * live.auditor.lag + waited
     live.auditor.run(max(PAUSE - took, 0.0))
     live.auditor.clock_rate = 1.0
     return "" if took <= allowed else f"no stop request within {allowed:.2f} s: {took:.2f} s"
