@@ -148,6 +148,7 @@ class Auditor(Node):
         at = info["source_timestamp"] / NANOSECONDS
         if self.awaits_start:
             self.awaits_start, self.start_step = False, abs(message.position[0] - self.wheel)
+            self.last.pop(ros.STEERING_COMMAND, None)  # it starts from the wheel
         self.gap = max(self.gap, at - max(self.heard_at, self.begun))
         self.heard_at = at
         if self.audits_commands:
