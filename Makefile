@@ -5,7 +5,7 @@ VENV_PYTHON := .venv/bin/python
 JOBS ?= 2
 PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup dev demo test check uncompiled lint acceptance certificates faults leaderboard fuzz proofs mutation \
+.PHONY: help setup dev demo test check uncompiled lint acceptance certificates faults leaderboard fuzz attack proofs mutation \
 	bench lock audit clean
 .DEFAULT_GOAL := help
 
@@ -50,6 +50,9 @@ leaderboard: dev  ## drive our controllers and published ones under equal condit
 
 fuzz: dev  ## send a million hostile inputs each to node core, guard and gate (3 min)
 	@$(VENV_PYTHON) -m tests.workshop.fuzz.fuzz
+
+attack: dev  ## run every attack of the list in ampc_ros/doc/attacks.md, and write its counts there (10 min)
+	@$(VENV_PYTHON) -m tests.workshop.attacks.attack --update ampc_ros/doc/attacks.md $(ATTACK)
 
 # The short setting is that of continuous integration; FULL=1 takes about 10 minutes more.
 proofs: dev  ## test the workshop; solve degenerate QPs; damage bags, recover; kill recorders; record drives, replay (FULL=1: more of them)

@@ -116,3 +116,22 @@ def test_nohup_keeps_its_effect() -> None:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@pytest.mark.parametrize(
+    ("error", "last", "lines"),
+    [
+        ("MemoryError('none\\nleft')", "error: MemoryError: none left", 1),
+        ("ImportError('failed to map')", "error: ImportError: failed to map", 1),
+        ("KeyError('a fault')", "KeyError: 'a fault'", 3),
+    ],
+)
+def test_a_lack_of_memory_while_a_node_is_imported_is_one_line(
+    error: str, last: str, lines: int
+) -> None:
+    script = f"import sys; sys.orig_argv[1:] = ['-m', {next(iter(NODES))!r}]\n"
+    script += f"import ampc_msgs_config.nodes; raise {error}"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == last
+    assert len(done.stderr.splitlines()) == lines

@@ -130,10 +130,17 @@ def _strip(row: list[str]) -> list[str]:
 
 def _is_number(text: str, separator: str) -> bool:
     try:
-        float(_with_point(text.strip(), separator))
+        _number(text.strip(), separator)
     except ValueError:
         return False
     return True
+
+
+def _number(text: str, separator: str) -> float:
+    """Return the number that a text states; Python reads 1_0 as 10, a path file does not."""
+    if "_" in text:
+        raise ValueError
+    return float(_with_point(text, separator))
 
 
 def _with_point(text: str, separator: str) -> str:
@@ -207,7 +214,7 @@ def _numbers(rows: list[tuple[int, list[str]]], i: int, separator: str) -> Array
     for line, row in rows:
         text = row[i].strip() if i < len(row) else ""
         try:
-            values.append(float(_with_point(text, separator)))
+            values.append(_number(text, separator))
         except ValueError:
             raise ValueError(f"line {line}: {text!r} must be a number") from None
         if not math.isfinite(values[-1]):

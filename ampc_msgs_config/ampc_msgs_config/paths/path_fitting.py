@@ -31,6 +31,8 @@ KNOT_GAP = 1.0
 """Smoothing: least distance of the knots of the spline, so that finer wiggles are averaged [m]."""
 MAX_LENGTH = 2.0e6
 """Longest path; an outlier in another frame would fill the memory with samples [m]."""
+MAX_COORDINATE = 1.0e9
+"""Largest coordinate; the lengths of larger ones overflow [m]."""
 CLOSING_GAP = 1.5
 """Greatest distance of the ends of a closed path [median spacings]."""
 MEETING = 1.0
@@ -294,6 +296,12 @@ def _different_points(points: Array) -> Array:
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points).all(axis=1))[0, 0])
         raise ValueError(f"path: point {row} = {points[row].tolist()} must be finite")
+    if points.size and np.abs(points).max() > MAX_COORDINATE:
+        row = int(np.argwhere((np.abs(points) > MAX_COORDINATE).any(axis=1))[0, 0])
+        raise ValueError(
+            f"path: point {row} = {points[row].tolist()} must lie in "
+            f"[{-MAX_COORDINATE:g}, {MAX_COORDINATE:g}] m"
+        )
     different = _distinct(points)
     if len(different) < 2:
         raise ValueError(f"path: {len(different)} different points, at least 2 are needed")

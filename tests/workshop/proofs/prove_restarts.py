@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -36,8 +36,11 @@ MODULES = {
     "controller": "ampc_ros.nodes.controller_node",
     "simulator": "sim_vehicle.nodes.simulator_node",
 }
+WITH_GATE = {"gate": "ampc_ros.nodes.gate_node", **MODULES}
 VICTIMS = [names for size in (1, 2, 3) for names in combinations(MODULES, size)]
 """Nodes that are killed together, in turn."""
+BEHIND_GATE = {ros.STEERING_COMMAND: ros.GATE_STEERING, ros.TARGET_SPEED: ros.GATE_SPEED}
+"""Topics of a simulated car that obeys the gate."""
 LONGEST_PAUSE = 2.0
 """Longest time from the kill to the start of the nodes [s]."""
 LARGEST_ERROR = 1.0
@@ -60,8 +63,8 @@ class CarWatch(Node):
         super().__init__("watch")
         self.state, self.since, self.arrived = "", math.inf, -math.inf
         self.create_subscription(Odometry, ros.ODOM, self.on_odometry, ros.NEWEST)
-        names = ("controller", "planner")
-        self.resets = [self.create_client(Trigger, f"{name}/reset_stop") for name in names]
+        names = ("controller/reset_stop", "planner/reset_stop", "gate/reset")
+        self.resets = [self.create_client(Trigger, name) for name in names]
 
     def on_odometry(self, message: Odometry) -> None:
         """Store what the car does, and since when."""
@@ -89,23 +92,26 @@ class CarWatch(Node):
 class Restarts:
     """The nodes of a drive around a circle, which are killed and started again."""
 
-    def __init__(self, nodes: Processes, patience: float) -> None:
+    def __init__(
+        self, nodes: Processes, patience: float, modules: Mapping[str, str] = MODULES
+    ) -> None:
         """Write the road, and start all nodes.
 
         Args:
             nodes: Processes.
             patience: Wall time after which a moment has failed [s].
+            modules: Python module of each node; with a gate, the car obeys it.
         """
-        self.nodes, self.patience = nodes, patience
+        self.nodes, self.patience, self.modules = nodes, patience, modules
         self.road = nodes.logs / "circle.csv"
         angles = [2 * math.pi * k / 360 for k in range(360)]
         points = [(RADIUS * math.sin(a), RADIUS - RADIUS * math.cos(a)) for a in angles]
         rows = "".join(f"{x},{y},{SPEED}\n" for x, y in points)
         self.road.write_text("x_m,y_m,v_mps\n" + rows, encoding="utf-8")
         self.watch = CarWatch()
-        self.start(tuple(MODULES))
+        self.start(tuple(modules))
         until = time.monotonic() + COMPILATION
-        while not all(map(self.is_ready, MODULES)) and time.monotonic() < until:
+        while not all(map(self.is_ready, modules)) and time.monotonic() < until:
             time.sleep(0.1)
         self.wait("the first start", lambda: self.watch.settled(-math.inf) == "drives")
 
@@ -117,7 +123,10 @@ class Restarts:
                 parameters = {"path": str(self.road), "laps": LAPS}
             if name == "simulator":
                 parameters |= {"time_out": 600.0, "start_time_out": 600.0}
-            self.nodes.start(name, MODULES[name], parameters)
+            renamed = BEHIND_GATE if name == "simulator" and "gate" in self.modules else {}
+            self.nodes.start(
+                name, self.modules[name], {} if name == "gate" else parameters, renamed
+            )
 
     def moment(self, names: Sequence[str], pause: float) -> str:
         """Kill nodes and start them again; return whether the car drove on or stood.
@@ -132,6 +141,25 @@ class Restarts:
         self.spin(pause)
         self.start(names)
         self.wait("start again", lambda: all(map(self.is_ready, names)))
+        return self.settle()
+
+    def freeze(self, name: str, pause: float) -> str:
+        """Stop a process for a time and continue it; return whether the car drove on or stood.
+
+        Raises:
+            ValueError: A node crashed, or the car did neither.
+        """
+        os.killpg(self.nodes.running[name].pid, signal.SIGSTOP)
+        self.spin(pause)
+        os.killpg(self.nodes.running[name].pid, signal.SIGCONT)
+        return self.settle()
+
+    def settle(self) -> str:
+        """Return whether the car drives on or stands; then take back all stops until it drives.
+
+        Raises:
+            ValueError: A node crashed, or the car did neither.
+        """
         began = time.monotonic()
         self.wait("drive or stand", lambda: bool(self.watch.settled(began)))
         outcome, reset_at = self.watch.settled(began), -math.inf
@@ -160,7 +188,7 @@ class Restarts:
                 raise ValueError(f"{what}: {name} ended: {self.nodes.last_line(name)}")
             if time.monotonic() > until:
                 raise ValueError(f"{what}: not within {self.patience:g} s: {self.watch.state}")
-        for name in MODULES:
+        for name in self.modules:
             self.check_log(name)
 
     def spin(self, seconds: float) -> None:
