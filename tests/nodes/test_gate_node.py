@@ -273,9 +273,9 @@ def test_the_first_output_is_the_measured_angle(monkeypatch: pytest.MonkeyPatch)
 def test_a_gate_that_ends_while_driving_requests_a_stop() -> None:
     with gated_car(**SLOW) as (car, _):
         drive(car, GateInputs())
-        assert not car.stops
+        car.wait(lambda: car.stops == [False])
         car.gate.publish_final()
-        car.wait(lambda: car.stops == [True])
+        car.wait(lambda: car.stops == [False, True])
 
 
 # QoS
