@@ -134,8 +134,9 @@ def test_a_damaged_chunk_takes_no_message_of_another_one(
     with open_bag(tmp_path / "bag_recovered") as bag:
         found = [each for each in bag.messages(bag.topics) if each.log_time_ns != lost_ns]
         assert [bag.decode(each) for each in found] == [entry.message for entry in kept]
-    size = damaged.chunk_length
-    assert f"1 damaged chunks or records, {size} bytes\n" in capsys.readouterr().out
+    # How many records of the damaged chunk are lost depends on its compressed content.
+    report = rf"[1-9]\d* damaged chunks or records, {damaged.chunk_length} bytes\n"
+    assert re.search(report, capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("bit", [3, 17, 30])
