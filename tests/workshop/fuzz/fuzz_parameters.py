@@ -18,6 +18,7 @@ import rclpy
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.logging import LoggingSeverity, set_logger_level
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import shipped
@@ -242,3 +243,4 @@ def ros_context_of_fuzz() -> Iterator[None]:
         yield
     finally:
         rclpy.shutdown()
+        set_logger_level("", LoggingSeverity.INFO)  # it outlives the context
