@@ -371,7 +371,8 @@ class ControllerNode(ConfiguredNode):
             return
         self.was_silent = True
         self.stop_and_hold()
-        if not self.watchdog.is_simulated:  # a system clock that went back delays the timer
+        left_ns = self.timer.time_until_next_call() or 0
+        if left_ns > self.supervisor.period * NANOSECONDS:  # a system clock that went back
             self.timer.reset()
         if not before:
             self.get_logger().error(f"{problem}: a stop is requested")
