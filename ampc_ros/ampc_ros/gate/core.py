@@ -113,7 +113,7 @@ class Gate:
         self.suspicion = ""
         """Event since the last sound command that makes it doubtful; empty: none."""
         self.odometer, self._travelled_at = 0.0, -math.inf
-        self._moved_at = -math.inf
+        self._moved_at = self._stepped_at = -math.inf
         self._stop_at, self._stop_speed = math.inf, 0.0
         self._stop_plan: ReceivedPlan | None = None
         self._follows_commands = False
@@ -139,15 +139,17 @@ class Gate:
         # Speed: the target, or the falling speed of a stop.
         speed = self._commanded_speed(now)
 
-        # The guard limits each change over the true time since the last one; time in which it
-        # has held the angle back does not add up.
-        before = self.guard.steering
+        # The guard limits each change over the true time since the last one, of a plan, which is
+        # followed in every round, since the last round. Time in which it has held the angle back
+        # does not add up.
+        before, since = self.guard.steering, self._moved_at if command else self._stepped_at
+        self._stepped_at = now
         guarded = self.guard.step(
             angle,
             rate,
             self.speed_at(now),
             value_of(self.measured, now),
-            now - self._moved_at,
+            now - since,
         )
         if guarded.steering != before or guarded.steering != angle:
             self._moved_at = now
