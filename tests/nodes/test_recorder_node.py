@@ -228,7 +228,10 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
     for topic, name in latched.items():  # when they come, the middleware decides
         expected = [(topic, TICK_NS, sample(name, TICK_NS))]
         assert [entry for entry in found if entry[0] == topic] == expected
-    assert [entry for entry in found if entry[0] not in latched] == [
+    order = {full(name): number for number, name in enumerate(CONTRACT)}
+    others = [entry for entry in found if entry[0] not in latched]
+    # A machine without time for the recorder changes the order of topics, never their content.
+    assert sorted(others, key=lambda entry: (entry[1], order[entry[0]])) == [
         (full(name), stamp_ns, sample(name, stamp_ns))
         for stamp_ns in range(TICK_NS, (ticks + 1) * TICK_NS, TICK_NS)
         for name in CONTRACT
