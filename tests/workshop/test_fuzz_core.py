@@ -23,7 +23,8 @@ def test_hostile_inputs_reach_every_rung_and_reason_and_break_no_promise() -> No
     done = sum((core_drive(1, drive, FEW) for drive in range(8)), Counter[str]())
     assert sum(done[kind] for kind in KINDS) == 8 * FEW
     assert all(done[f"rung {rung}"] for rung in RUNGS)
-    assert all(done[f"reason {reason}"] for reason in REASONS)
+    reached = set(REASONS) - {"controller_fault"}  # that is a violation here
+    assert all(done[f"reason {reason}"] for reason in reached)
     assert all(done[f"{kind} refused"] for kind in ("state", "path"))
     assert done["recovered"] >= 12
 

@@ -509,8 +509,11 @@ class Supervisor:
         return with_reason(command, reason, missing), True
 
     def _time_since_command(self, now_ns: int) -> float:
-        """Return the time since the last command; one period before the first one [s]."""
-        if self._commanded_ns is None:
+        """Return the time since the last command [s].
+
+        One period before the first one, and where the clock went back: the time is not known.
+        """
+        if self._commanded_ns is None or now_ns < self._commanded_ns:
             return self.period
         elapsed = (now_ns - self._commanded_ns) / NANOSECONDS
         return self.period if abs(elapsed - self.period) < 1.0 / NANOSECONDS else elapsed

@@ -20,7 +20,7 @@ from ampc_msgs_config.types import (
     VehicleState,
 )
 from ampc_ros.configuration import CONTROLLERS, Choices, Configuration, configuration
-from ampc_ros.supervision.guard import bounds
+from ampc_ros.supervision.guard import LONGEST_PAUSE, bounds
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from tests.workshop.fuzz.fuzz_guard import Violation
@@ -132,6 +132,9 @@ class Core:
             record = self.policy.tick(now_ns)
         except ValueError as error:
             raise Violation(f"a tick raises {error!r}") from error
+        for survived in ("the controller failed: ", "the controller raised "):
+            if self.supervisor.failure.startswith(survived):
+                raise Violation(f"a tick raises {self.supervisor.failure.removeprefix(survived)}")
         if record is None:
             if self.supervisor.is_ready:
                 raise Violation("no command in spite of state and path")
@@ -154,15 +157,23 @@ class Core:
             self.done[f"{name} {names[int(value)]}"] += 1
         if command.steering != self.supervisor.steering:
             raise Violation(f"{command.steering!r} is not {self.supervisor.steering!r}")
-        self.check_limits(command.steering, command.steering_rate, last)
+        elapsed = min(max(record.command_interval, 0.0), LONGEST_PAUSE * self.supervisor.period)
+        self.check_limits(command.steering, command.steering_rate, last, elapsed)
         withdrawn = self.was_requested > self.supervisor.stop_requested
         if withdrawn and not self.had_no_path:  # a valid path withdraws the request of an empty one
             raise Violation("the request to stop was lost")
         self.was_requested = self.supervisor.stop_requested
         self.had_no_path = self.supervisor.no_path
 
-    def check_limits(self, steering: float, rate: float, last: float) -> None:
-        """Raise a Violation where a command exceeds the limits of the guard at the speed."""
+    def check_limits(self, steering: float, rate: float, last: float, elapsed: float) -> None:
+        """Raise a Violation where a command exceeds the limits of the guard at the speed.
+
+        Args:
+            steering: Commanded angle [rad].
+            rate: Its rate [rad/s].
+            last: Angle commanded before [rad].
+            elapsed: Time since that, at most LONGEST_PAUSE periods [s].
+        """
         supervisor = self.supervisor
         assert supervisor.state is not None
         v_x, guard = supervisor.state.value.v_x, supervisor.config.guard
@@ -172,7 +183,7 @@ class Core:
             raise Violation(f"angle {steering!r} is beyond {most!r} at {v_x!r} m/s, from {last!r}")
         if abs(rate) > fastest:
             raise Violation(f"rate {rate!r} is beyond {fastest!r} at {v_x!r} m/s")
-        step = fastest * supervisor.period
+        step = fastest * elapsed
         if abs(steering - last) > step * (1 + ROUNDING) + math.ulp(last):
             raise Violation(f"step from {last!r} to {steering!r} is beyond {step!r}")
 
