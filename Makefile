@@ -60,7 +60,7 @@ proofs: dev  ## test the workshop; solve degenerate QPs; damage bags, recover; k
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_qp --problems $(if $(FULL),100000,3000)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recovery --damages $(if $(FULL),3000,42)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recording --kills $(if $(FULL),20,2)
-	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_replay $(if $(FULL),,--scenarios sc1)
+	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_replay; fi
 	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_restarts --moments 100; fi
 
 mutation: dev  ## change 300 details of the code, one at a time: the tests must detect 92 % (below 1 h)
