@@ -58,7 +58,7 @@ attack: dev  ## run every attack of the list in ampc_ros/doc/attacks.md, and wri
 proofs: dev  ## test the workshop; solve degenerate QPs; damage bags, recover; kill recorders; record drives, replay (FULL=1: more of them)
 	@$(VENV_PYTHON) -m pytest $(PARALLEL) tests/workshop
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_qp --problems $(if $(FULL),100000,3000)
-	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recovery --damages $(if $(FULL),3000,42)
+	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recovery --damages $(if $(FULL),3000,252)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.prove_recording --kills $(if $(FULL),20,2)
 	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_replay; fi
 	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_restarts --moments 100; fi

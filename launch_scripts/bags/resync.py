@@ -228,7 +228,8 @@ class Scanner:
             is_right = not chunk.crc or not is_whole or self.crc(data, end) == chunk.crc
             return Record(Opcode.CHUNK, b"", position, end - position, is_whole, is_right, chunk)
         is_whole = end <= self.size
-        if not (is_whole and self.can_continue(end)):
+        is_shifted = self.read(data, 4) not in FRAMES  # by bytes inserted in its start
+        if is_shifted or not (is_whole and self.can_continue(end)):
             found = self.find(data + 1, min(end, self.size))
             if found is not None:
                 is_whole, end = True, found  # bytes inside it were removed, or its length is wrong

@@ -236,6 +236,21 @@ def test_a_tick_that_raises_leaves_a_held_angle_and_a_stop_and_the_node_continue
         node.destroy_node()
 
 
+def test_a_plan_that_cannot_be_published_hides_no_request_to_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with ros_context(controller="pure_pursuit", static_path="true") as executor:
+        node = ControllerNode()
+        driver = Driver(executor, node)
+        driver.drive_for(3)
+        monkeypatch.setattr(node.outputs, "publish_plan", lambda *_: 1 / 0)
+        monkeypatch.setattr(type(node.supervisor), "stop_requested", True)
+        with pytest.raises(ZeroDivisionError):
+            node.step()
+        assert node.outputs.published_stop
+        assert node.watchdog.silence == 0.0
+
+
 def test_a_step_of_the_controller_that_raises_is_logged_and_braked_over_ros(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

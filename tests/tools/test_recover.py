@@ -13,11 +13,12 @@ import pytest
 import yaml
 import zstandard
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.highlevel import AnyReader
 
 from launch_scripts.bags import bag, inflate, recovery
 from launch_scripts.bags.bag import open_bag
+from launch_scripts.bags.resync import Scanner
 from launch_scripts.bags.salvage import salvage
 from launch_scripts.recover import main
 from tests.bag_samples import contents, is_complete, read, read_with_rosbags, write_bag
@@ -422,3 +423,35 @@ def test_a_missing_bag_or_an_existing_output_gives_one_line(
         said = capsys.readouterr()
         assert re.fullmatch(rf"error: \S*{re.escape(complaint)}\n", said.err)
         assert not said.out
+
+
+def test_a_byte_inserted_in_the_head_of_a_chunk_costs_none_of_its_messages() -> None:
+    for trial in range(200):  # until a record seems to begin at the last byte of the chunk
+        sent = [b"\0\1\0\0" + random.Random(100 * trial + i).randbytes(9) for i in range(20)]
+        content = one_chunk(sent)
+        magic = content.index(b"\x28\xb5\x2f\xfd")
+        (length,) = struct.unpack_from("<Q", content, magic - 8)
+        shifted = content[:magic] + b"\0" + content[magic:]
+        if Scanner(io.BytesIO(shifted), {}).can_continue(magic + length):
+            break
+    else:
+        raise AssertionError("no such chunk")
+    target = io.BytesIO()
+    result = salvage(io.BytesIO(shifted), target)
+    target.seek(0)
+    assert not result.is_undamaged
+    assert [message.data for _, _, message in make_reader(target).iter_messages()] == sent
+
+
+def one_chunk(messages: list[bytes]) -> bytes:
+    """Return a file with one compressed chunk, no index, and a summary of more than 1 kB."""
+    stream = io.BytesIO()
+    options: Any = {"compression": CompressionType.ZSTD, "index_types": IndexType.NONE}
+    writer: Any = Writer(stream, chunk_size=2**20, **options)
+    writer.start(profile="ros2", library="test")
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n" * 100)
+    channel = writer.register_channel("/text", "cdr", schema)
+    for number, data in enumerate(messages):
+        writer.add_message(channel, number, data, number)
+    writer.finish()
+    return stream.getvalue()

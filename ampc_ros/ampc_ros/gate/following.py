@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_ros.gate.plan import SteeringPlan
+from ampc_ros.path_return import return_angle
 from ampc_ros.supervision.guard import interpolate_linear
 
 RETURN_FREQUENCY = 1.2
@@ -82,8 +83,6 @@ def followed_angle(
 def pose_correction(place: PlanPlace, chassis: ChassisParameters, pose: MeasuredPose) -> float:
     """Return the change of the angle that brings a car back to the planned places [rad].
 
-    The error obeys e'' = v^2 kappa, so kappa = -(omega^2 e + 2 omega e') / v^2 brings it to rest.
-
     Args:
         place: Where the car is.
         chassis: Parameters of the car.
@@ -93,8 +92,8 @@ def pose_correction(place: PlanPlace, chassis: ChassisParameters, pose: Measured
     omega = min(RETURN_FREQUENCY, v / (LEAST_RETURN * L))
     error = min(max(place.error, -MOST_ERROR), MOST_ERROR)
     sine, cosine = math.sin(place.heading_error), math.cos(place.heading_error)
-    pull = omega * omega * error + 2 * omega * (v * sine + pose.v_y * cosine)
-    return -pull * (L / (v * v) + max(chassis.understeer_gradient, 0.0))
+    errors = error, v * sine + pose.v_y * cosine
+    return return_angle(errors, omega, v, (L, max(chassis.understeer_gradient, 0.0)))
 
 
 def place_on(plan: SteeringPlan, pose: MeasuredPose, distance: float) -> PlanPlace | None:

@@ -333,8 +333,9 @@ class ControllerNode(ConfiguredNode):
         if self.initial.is_pending and not self.has_started():
             return
         start = time.perf_counter()
+        now_ns = self.supervisor.newest_ns if self.lock_step else self.now_ns
         try:
-            record = self.policy.tick(self.now_ns)
+            record = self.policy.tick(now_ns)
         except Exception:
             if not self.lock_step:
                 self.stop_and_hold()
@@ -345,10 +346,9 @@ class ControllerNode(ConfiguredNode):
             account = self.rejected, self.policy.missed, self.commands
             steering = self.supervisor.config.steering
             self.outputs.publish_tick(record, timing, account, steering, self.frame.name)
-            now_ns = self.supervisor.newest_ns if self.lock_step else self.now_ns
+            self.report_change(record)
             self.outputs.publish_plan(self.supervisor, now_ns)
             self.outputs.publish_memory(self.supervisor, self.commands)
-            self.report_change(record)
 
     def has_started(self) -> bool:
         """Start from the angle of the wheel as soon as it is known."""

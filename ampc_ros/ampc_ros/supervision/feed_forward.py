@@ -11,6 +11,7 @@ from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import MIN_SPEED, ChassisParameters
 from ampc_msgs_config.paths.path import Path, Progress, curvature_between, errors_at, point_at
 from ampc_msgs_config.types import VehicleState
+from ampc_ros.path_return import return_angle
 from ampc_ros.preview.model import road_steering
 
 FREQUENCY = 0.8
@@ -44,10 +45,7 @@ class FeedForward:
         self.progress: Progress | None = None
 
     def steering(self, state: VehicleState, path: Path) -> float:
-        """Return the angle for a state at `base_link` [rad].
-
-        The error obeys e_y'' = v^2 (kappa - kappa_path) where the slip angles are steady, so
-        kappa = kappa_path - (omega^2 e_y + 2 omega e_y') / v^2 brings it to rest.
+        """Return the angle for a state at `base_link` [rad]: the road's, and `return_angle`.
 
         Note:
             e_y' is taken at the rear axle. At the centre of gravity it would respond to the wheel
@@ -62,9 +60,9 @@ class FeedForward:
         omega = min(FREQUENCY, v / SHORTEST_RETURN)
         error, _ = errors_at(path, s, car.x, car.y, car.yaw)
         error = min(max(error, -MAX_RETURN), MAX_RETURN)
-        pull = omega**2 * error + 2 * omega * self._rear_rate(car, v, path, s)
-        gradient = max(self.chassis.understeer_gradient, 0.0)
-        return self._road(v, path, s) - pull * (self.chassis.wheelbase / v**2 + gradient)
+        chassis = self.chassis.wheelbase, max(self.chassis.understeer_gradient, 0.0)
+        errors = error, self._rear_rate(car, v, path, s)
+        return self._road(v, path, s) + return_angle(errors, omega, v, chassis)
 
     def _rear_rate(self, car: VehicleState, v: float, path: Path, s: float) -> float:
         """Return the lateral rate of the rear axle relative to the path [m/s]."""
