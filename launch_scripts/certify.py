@@ -11,6 +11,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+if not __package__:  # run as a file
+    import run.guard  # noqa: F401 - one line where a package is missing
+
 from rich.console import Console
 from rich.text import Text
 

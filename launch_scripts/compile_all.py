@@ -4,6 +4,9 @@ import argparse
 import sys
 import time
 
+if not __package__:  # run as a file
+    import run.guard  # noqa: F401 - one line where a package is missing
+
 from ampc_msgs_config.config import find
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices, configuration

@@ -10,6 +10,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+if not __package__:  # run as a file
+    import run.guard  # noqa: F401 - one line where a package is missing
+
 from launch_scripts.bags.bag import reason_of
 from launch_scripts.bags.recovery import default_output, recover
 

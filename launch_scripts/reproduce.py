@@ -18,6 +18,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+if not __package__:  # run as a file
+    import run.guard  # noqa: F401 - one line where a package is missing
+
 from rich.console import Console
 from rich.progress import Progress
 

@@ -1,0 +1,108 @@
+"""The begin of a process: signals and missing packages end it in one line, without a traceback.
+
+Nodes call `end_while_importing`, commands `guard_command`, before they import anything that is not
+of the standard library.
+"""
+
+import os
+import re
+import signal
+import sys
+from types import FrameType
+from typing import Any
+
+from ampc_msgs_config.signals import handle_ending_signals, interrupt
+
+MISSING_PACKAGE = 2
+"""Exit code where a package cannot be imported."""
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of a command that SIGINT ends."""
+SYSTEM_ERRORS = (ImportError, MemoryError, OSError, SystemError)
+"""Exceptions that a lack of memory, threads or files causes, also while modules are imported."""
+OWN_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
+ROS_PACKAGE = re.compile(
+    r"rclpy|rpyutils|tf2_\w+|launch\w*|(ament|rosidl|rmw)_\w+|\w+_(msgs|interfaces|srvs)"
+)
+"""Names of packages that belong to ROS 2."""
+SET_UP = "run `make setup` in the workspace once, then `source setup.bash`"
+NODE_PROGRAM = re.compile(
+    r"^(ampc_msgs_config|ampc_ros|sim_vehicle|launch_scripts)\.nodes\.\w+_node$"
+    r"|/lib/((ampc_msgs_config|ampc_ros|sim_vehicle)/\w+|launch_scripts/injector)$"
+    r"|/nodes/\w+_node\.py$"
+)
+"""Arguments of an interpreter that runs a node: module, entry point or file."""
+COMMAND_PROGRAM = re.compile(r"^launch_scripts\.\w+$|/lib/launch_scripts/\w+$")
+"""The same for a command of launch_scripts; one that is run as a file imports `run.guard`."""
+
+
+def end_while_importing() -> None:
+    """Exit at once and without a traceback if a signal arrives while a node is being imported.
+
+    A missing package, or a lack of memory or threads, ends it with one line. Does nothing in a
+    process that only imports the module of a node.
+    """
+    if runs(NODE_PROGRAM):
+        handle_ending_signals(lambda *_: os._exit(0))
+        sys.excepthook = report_in_one_line
+
+
+def guard_command() -> None:
+    """End a command in one line where a package is missing, and without a traceback after SIGINT.
+
+    Before `main` runs, SIGINT ends the process at once; later it raises KeyboardInterrupt.
+    """
+    sys.excepthook = report_of_command
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt_command)
+
+
+def runs(program: re.Pattern[str]) -> bool:
+    """Return whether this process runs a program, by the arguments of its interpreter."""
+    return any(program.search(argument) for argument in sys.orig_argv[1:4])
+
+
+def interrupt_command(_: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt inside `main`; before it, exit."""
+    outer = frame
+    while outer and outer.f_code.co_name != "main":
+        outer = outer.f_back
+    if outer is None:
+        os._exit(INTERRUPTED)
+    interrupt(frame)
+
+
+def report_in_one_line(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    """Print an exception of a node in one line where it is one of the system, not of the code."""
+    end_without_package(error)
+    if issubclass(kind, SYSTEM_ERRORS) or kind.__name__ == "RCLError":
+        line = " ".join(f"{kind.__name__}: {error}".split())
+        print(f"error: {line}", file=sys.stderr, flush=True)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+def report_of_command(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    """Print an exception that ends a command; an interruption ends it silently."""
+    if issubclass(kind, KeyboardInterrupt):
+        raise SystemExit(INTERRUPTED)
+    end_without_package(error)
+    sys.__excepthook__(kind, error, trace)
+
+
+def end_without_package(error: BaseException) -> None:
+    """Print one line and exit if the error is that of a package that is not installed."""
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        print(f"error: {missing_package(error.name)}", file=sys.stderr, flush=True)
+        raise SystemExit(MISSING_PACKAGE)
+
+
+def missing_package(module: str) -> str:
+    """Return which package is missing where, and how to install it, in one sentence."""
+    package = module.partition(".")[0]
+    if package in OWN_PACKAGES:
+        return f"{sys.executable} does not find {module!r} of this workspace: {SET_UP}"
+    if ROS_PACKAGE.fullmatch(package):
+        remedy = f"source /opt/ros/jazzy/setup.bash, or without ROS 2 {SET_UP}"
+        return f"the ROS package {package!r} is missing for {sys.executable}: {remedy}"
+    remedy = f"{SET_UP}, or `pip install -r lock/requirements.txt`"
+    return f"the Python package {package!r} is missing for {sys.executable}: {remedy}"
