@@ -11,24 +11,9 @@ from pathlib import Path
 import pytest
 
 from launch_scripts import bootstrap
-from tests.contract.test_architecture import imported, packages
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"ampc_msgs_config", "ampc_ros", "launch_scripts", "sim_vehicle"}
-KEYS = {
-    "PIL": "python3-pil",
-    "jinja2": "python3-jinja2",
-    "markupsafe": "python3-markupsafe",
-    "yaml": "python3-yaml",
-    **{name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "rich", "scipy")},
-}
-"""rosdep keys by module name."""
-NO_KEY = {"lz4", "mcap", "msgspec", "plotly", "rosbags", "tsdownsample", "zstandard"}
-DEVELOPMENT = {
-    *("casadi", "cma", "daqp", "do_mpc", "osqp", "piqp", "quadprog", "python3-scipy"),
-    *("distributed", "setuptools", "vehiclemodels"),
-}
-"""Modules needed only by benchmarks, tests or a cluster."""
 PIP_OUTPUTS = {
     "the package index cannot be reached": """
 WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError(': Failed to
@@ -81,16 +66,6 @@ def test_every_executable_names_an_existing_function(package: str) -> None:
     assert executables
     for module, function in executables:
         assert callable(getattr(importlib.import_module(module), function))
-
-
-@pytest.mark.parametrize("package", sorted(PACKAGES))
-def test_the_manifest_names_all_imported_packages(package: str) -> None:
-    manifest = (ROOT / package / "package.xml").read_text(encoding="utf-8")
-    named = set(re.findall(r"<exec_depend>(.+)</exec_depend>", manifest))
-    folder = ROOT / package if package == "launch_scripts" else ROOT / package / package
-    found = set().union(*(packages(imported(file)) for file in folder.rglob("*.py")))
-    needed = {KEYS.get(name, name) for name in found - sys.stdlib_module_names - NO_KEY - {package}}
-    assert needed - named <= (DEVELOPMENT if package == "launch_scripts" else set())
 
 
 @pytest.mark.parametrize("expected", PIP_OUTPUTS)
