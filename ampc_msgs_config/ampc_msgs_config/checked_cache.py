@@ -3,7 +3,9 @@
 numba loads what its files contain: a truncated one ends in an exception, changed bytes may run as
 machine code. Here each file ends with a digest of its content. The name of a file with machine code
 follows from its key, and one process at a time changes an index, so that processes which compile
-the same functions at the same time never exchange their code.
+the same functions at the same time never exchange their code. The folder follows from the name and
+the content of a module, not from its path: the source tree and what colcon installs from it share
+their code.
 
 Note:
     `numba.core.caching` is a private interface of numba: this is the only place that uses it.
@@ -16,14 +18,17 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from numba.core import caching
+from numba.core import caching, config
 
 DIGEST = 32
 """Length of the digest at the end of a file [bytes]."""
 BASE: Any = caching.IndexDataCacheFile
+LOCATOR: Any = caching.UserProvidedCacheLocator
+IMPLEMENTATION: Any = caching.CompileResultCacheImpl
 
 
 class CheckedCacheFile(BASE):  # type: ignore[misc]
@@ -82,8 +87,31 @@ class CheckedCacheFile(BASE):  # type: ignore[misc]
             file.write(data + hashlib.sha256(data).digest())
 
 
+class ContentLocator(LOCATOR):  # type: ignore[misc]
+    """Folder of a module's code below the folder of all code, by name and content of the module."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        """Derive the folder from a function and the file that defines it."""
+        super().__init__(function, file)
+        folder = f"{function.__module__}-{content_digest(file)[:16]}"
+        self._cache_path = str(Path(config.CACHE_DIR) / folder)  # type: ignore[attr-defined]
+
+
+class ContentImplementation(IMPLEMENTATION):  # type: ignore[misc]
+    """The part of a cache that selects its folder."""
+
+    _locator_classes = (ContentLocator, *IMPLEMENTATION._locator_classes)
+
+
 class CheckedCache(caching.FunctionCache):
     """Cache of one function; where nothing can be stored, the function is only compiled."""
+
+    _impl_class = ContentImplementation
+
+    def __init__(self, function: Any) -> None:
+        """Use checked files."""
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._cache_file.__class__ = CheckedCacheFile
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store compiled code, if the folder can be written."""
@@ -116,9 +144,13 @@ def remove(path: Path, fault: str = "cannot be loaded") -> None:
             path.unlink(missing_ok=True)
 
 
-def check_cache(function: Any) -> None:
-    """Make a compiled function use checked files; nothing where it is not stored on disk."""
-    cache = getattr(function, "_cache", None)
-    if isinstance(cache, caching.FunctionCache):
-        cache.__class__ = CheckedCache
-        cache._cache_file.__class__ = CheckedCacheFile
+@cache
+def content_digest(file: str) -> str:
+    """Return a digest of the content of a source file."""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+def store_on_disk(function: Any) -> None:
+    """Make a compiled function store its code; nothing where compilation is switched off."""
+    if hasattr(function, "_cache"):
+        function._cache = CheckedCache(function.py_func)

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 
-from ampc_msgs_config.checked_cache import check_cache
+from ampc_msgs_config.checked_cache import store_on_disk
 
 F = TypeVar("F", bound=Callable[..., Any])
 COMPILED_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle")
@@ -109,8 +109,8 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 
 def compiled(function: F) -> F:
     """Compile a numeric function at its first call, and store the machine code on disk."""
-    result = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    check_cache(result)
+    result = numba.njit(error_model="numpy", nogil=True)(function)
+    store_on_disk(result)
     return cast(F, result)
 
 
@@ -121,9 +121,7 @@ def compile_without_allocation(function: F, **options: Any) -> F:
         `_nrt` is a private option of numba: this is the only place that uses it.
     """
     njit: Any = numba.njit  # its type does not know the private option
-    result = njit(error_model="numpy", nogil=True, _nrt=False, **options)(function)
-    check_cache(result)
-    return cast(F, result)
+    return cast(F, njit(error_model="numpy", nogil=True, _nrt=False, **options)(function))
 
 
 def in_place(function: F) -> F:
@@ -132,7 +130,9 @@ def in_place(function: F) -> F:
     A function that creates an array is rejected at its first call. Arrays may be passed inside
     tuples to other functions of this kind, but not returned to Python.
     """
-    return compile_without_allocation(function, cache=True)
+    result = compile_without_allocation(function)
+    store_on_disk(result)
+    return result
 
 
 def inlined(function: F) -> F:

@@ -122,6 +122,33 @@ def test_a_damaged_file_is_removed_and_compiled_again(
     assert capsys.readouterr().err == ""
 
 
+def copied(file: Path, folder: str, text: str = SOURCE) -> Path:
+    """Write the module into another folder, as an installation does."""
+    copy = file.parent / folder / file.name
+    copy.parent.mkdir()
+    copy.write_text(text)
+    return copy
+
+
+def test_a_copy_of_a_module_in_another_folder_uses_the_same_code(source: Path) -> None:
+    assert load(source)(4.0) == 3.0
+    installed = load(copied(source, "install"))
+    assert installed(4.0) == 3.0
+    assert is_loaded(installed)
+    assert len(list(source.parent.rglob("*.nbc"))) == 1
+
+
+def test_modules_of_one_name_with_different_content_never_share_code(source: Path) -> None:
+    other = copied(source, "other", SOURCE.replace("+ 1", "+ 2"))
+    for _ in range(2):
+        assert load(source)(4.0) == 3.0
+        assert load(other)(4.0) == 4.0
+    assert is_loaded(load(source)) is False  # not called yet
+    again = load(other)
+    assert again(4.0) == 4.0
+    assert is_loaded(again)
+
+
 def test_a_file_without_permission_is_removed_and_compiled_again(
     source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import pytest
 from numba.core.errors import NumbaError
 
 from ampc_msgs_config.compiled import (
+    COMPILED_PACKAGES,
     STORED_VERSIONS,
     USED_WITHIN,
     cache_folder,
@@ -25,6 +27,7 @@ from ampc_msgs_config.compiled import (
     source_hash,
 )
 
+ROOT = Path(__file__).resolve().parents[2]
 BAD_HOMES = ["/proc/nobody", "/dev/null"]
 """Paths in which no folder can be created, not even by root."""
 
@@ -102,6 +105,40 @@ def test_a_process_without_a_home_compiles_into_the_temporary_folder(tmp_path: P
     )
     assert ran.stderr.count("\n") == 1
     assert list(tmp_path.rglob("*.nbi"))
+
+
+COUNT = """
+import sys
+from ampc_msgs_config.compiled import on_compilation
+from ampc_ros.preview.model import understeer_gradient
+calls = []
+with on_compilation(lambda: calls.append(1)):
+    understeer_gradient((1500.0, 2500.0, 1.2, 1.6, 5e4, 5e4))
+print(len(calls), sys.modules["ampc_ros"].__file__)
+"""
+"""Prints how many functions are compiled, and from where the package is imported."""
+
+
+def test_an_installed_copy_of_the_packages_uses_the_code_of_the_source_tree(tmp_path: Path) -> None:
+    site = tmp_path / "install"
+    for package in COMPILED_PACKAGES:
+        copy = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package / package, site / package, ignore=copy)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for name in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"):
+        environment.pop(name, None)
+    installed = f"{site}{os.pathsep}{environment.get('PYTHONPATH', '')}"
+    lines = [
+        subprocess.run(
+            [sys.executable, "-c", COUNT], env=each, capture_output=True, text=True, check=True
+        ).stdout
+        for each in (environment, environment | {"PYTHONPATH": installed})
+    ]
+    (first, source), (second, copied) = (line.split() for line in lines)
+    assert int(first) > 0
+    assert int(second) == 0
+    assert Path(source).is_relative_to(ROOT)
+    assert Path(copied).is_relative_to(site)
 
 
 def test_a_temporary_folder_that_others_can_write_is_not_used(temporary: Path) -> None:
