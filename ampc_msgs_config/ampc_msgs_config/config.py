@@ -92,6 +92,11 @@ def shipped(folder: str) -> dict[str, Path]:
     return {file.stem: file for file in sorted((FOLDER / folder).glob("*.yaml"))}
 
 
+def shipped_or_file(folder: str, what: str = "a YAML file") -> str:
+    """Return which values a parameter takes that selects a file, for the user."""
+    return f"{', '.join(shipped(folder))}, or {what}"
+
+
 def shipped_schema(name: str) -> Path:
     """Return the file of a schema that comes with the package."""
     return FOLDER / "schemas" / f"{name}.json"

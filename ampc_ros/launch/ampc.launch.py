@@ -25,16 +25,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from ampc_msgs_config import topics
-from ampc_msgs_config.config import shipped
-
-
-def file_or(folder: str) -> str:
-    """Return the description of an argument that takes a shipped name or a file."""
-    return f"YAML file, or one of {', '.join(shipped(folder))}"
-
+from ampc_msgs_config.config import shipped_or_file
 
 ARGUMENTS = {
-    "scenario": ("sc1", file_or("scenarios")),
+    "scenario": ("sc1", shipped_or_file("scenarios")),
     "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead of a scenario"),
     "speed": ("-1.0", "constant speed [m/s]; -1: that of scenario or CSV"),
     "lateral_acceleration": (
@@ -43,17 +37,17 @@ ARGUMENTS = {
     ),
     "laps": ("1", "number of laps of a CSV's closed path"),
     "columns": ("", "columns of the CSV, such as x=3,y=4; empty: by its header"),
-    "vehicle": ("paper", file_or("vehicles")),
+    "vehicle": ("paper", shipped_or_file("vehicles")),
     "controller": ("preview", "preview, paper, classic, pure_pursuit, or FILE.py:CLASS"),
-    "settings": ("table3", f"limits and solver: {file_or('controllers')}"),
-    "gain_table": ("", f"gains: {file_or('gains')}; empty: the controller's own"),
-    "guard": ("road", f"limits of every command: {file_or('guards')}"),
+    "settings": ("table3", f"limits and solver: {shipped_or_file('controllers')}"),
+    "gain_table": ("", f"gains: {shipped_or_file('gains')}; empty: the controller's own"),
+    "guard": ("road", f"limits of every command: {shipped_or_file('guards')}"),
     "static_path": ("true", "the path is published once and does not grow old"),
     "base_link_to_cg": ("-1.0", "distance from odom to the centre of gravity [m]; -1: rear axle"),
     "fixed_frame": ("", "frame of path and odom; empty: that of the first odom"),
     "require_certificate": ("false", "reject a gain table without a valid certificate"),
     "friction": ("-1.0", "friction of the road; -1: that of the tyres"),
-    "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
+    "noise": ("", f"noise of the measurement: {shipped_or_file('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
     "store_estimates": ("true", "start with the car's estimates of the last drive, in real time"),
     "lock_step": ("true", "simulated time advances only when every state is answered"),

@@ -20,7 +20,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, shipped_or_file
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
@@ -50,16 +50,16 @@ class InjectorNode(BaseNode):
             ValueError: The schedule is invalid, or needs a clock that a node cannot change.
         """
         super().__init__("injector")
-        schedule = load_faults(
-            declare(self, "faults", "example", "name of shipped faults, or YAML file")
-        )
+        allowed = shipped_or_file("faults")
+        schedule = load_faults(declare(self, "faults", "example", "faults to inject", allowed))
         if self.lock_step:
             raise ValueError("faults need real time: lock_step must be false")
         if any(fault.kind == "clock_jump" for fault in schedule.faults):
             raise ValueError(
                 "faults: kind = clock_jump works only in the offline fault matrix; use stamp_jump"
             )
-        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
+        allowed = shipped_or_file("vehicles")
+        file = find("vehicles", declare(self, "vehicle", "paper", "car", allowed))
         self.steering = load_section(SteeringParameters, file, "steering", "the node injector")
         self.injector = Injector(schedule)
         self.start_ns = -1

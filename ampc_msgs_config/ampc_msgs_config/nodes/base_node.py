@@ -183,7 +183,7 @@ def declare(
         name: Name of the parameter.
         default: Default value; it defines the type.
         description: Text for `ros2 param describe`.
-        allowed: (low, high) of a number, or a list of words.
+        allowed: (low, high) of a number, a list of words, or a description of the texts.
         at_run_time: Whether the parameter may be changed while the node runs.
 
     Raises:
@@ -193,6 +193,8 @@ def declare(
     descriptor = ParameterDescriptor(description=description, read_only=not at_run_time)
     if isinstance(allowed, list):
         descriptor.additional_constraints = "one of: " + ", ".join(allowed)
+    elif isinstance(allowed, str):
+        descriptor.additional_constraints = allowed
     elif isinstance(default, float):
         low, high = map(float, allowed)
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]

@@ -1,5 +1,6 @@
 """Subscriptions of a node that receive from publishers of any QoS, or name what does not match."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -9,10 +10,11 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from ampc_msgs_config.nodes.qos import profile_text
+from ampc_msgs_config.nodes.waiting import STOPPED, is_incompatible, why_silent
 
 REMEMBERED = 16
 """Messages that are remembered where several subscriptions receive the same topic."""
@@ -54,6 +56,8 @@ class Input:
         self.has_mismatch = False
         self.info: dict[str, Any] = {}
         """Times and sequence number of the newest message."""
+        self.arrived_at: float | None = None
+        """Its arrival, steady time [s]."""
         self._seen: deque[tuple[Any, Any, int]] = deque(maxlen=REMEMBERED)
         self._logged: set[str] = set()
         self._subscribe()
@@ -80,7 +84,7 @@ class Input:
             if key in self._seen:
                 return
             self._seen.append(key)
-        self.info = info
+        self.info, self.arrived_at = info, time.monotonic()
         self.callback(message)
 
     def on_incompatible(self, index: int, _: Any) -> None:
@@ -109,6 +113,18 @@ class Input:
             self._logged.add(sentence)
             self.node.get_logger().error(sentence)
         return sentences
+
+    def problem(self, *, is_used: bool, is_periodic: bool = True) -> str:
+        """Return why this input is missing; empty: it is not.
+
+        Args:
+            is_used: Whether the node has accepted a message.
+            is_periodic: Whether a message that stays away is missing, too.
+        """
+        silence = 0.0 if self.arrived_at is None else time.monotonic() - self.arrived_at
+        if is_used and not (is_periodic and silence > STOPPED):
+            return ""
+        return why_silent(self.node, self.subscriptions, self.arrived_at)
 
     def destroy(self) -> None:
         """Destroy the subscriptions."""
@@ -162,9 +178,3 @@ class Inputs:
         while self.topics:
             _, each = self.topics.popitem()
             each.destroy()
-
-
-def is_incompatible(offered: QoSProfile, requested: QoSProfile) -> bool:
-    """Return whether a subscription with a profile cannot receive from a publisher."""
-    compatibility, _ = qos_check_compatible(offered, requested)
-    return bool(compatibility == QoSCompatibility.ERROR)

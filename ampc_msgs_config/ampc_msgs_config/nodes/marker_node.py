@@ -21,7 +21,7 @@ from std_msgs.msg import Bool, ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros, topics
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, shipped_or_file
 from ampc_msgs_config.frames import quaternion_from_yaw
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
@@ -50,7 +50,8 @@ class MarkerNode(BaseNode):
     def __init__(self) -> None:
         """Load the car, without subscriptions yet."""
         super().__init__("markers")
-        file = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or YAML file"))
+        allowed = shipped_or_file("vehicles")
+        file = find("vehicles", declare(self, "vehicle", "paper", "car to draw", allowed))
         to_cg = declare(
             self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
         )

@@ -2,12 +2,15 @@
 
 from rclpy.node import Node
 
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, shipped_or_file
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.vehicle_file import load_section
+
+CSV = "a CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m; empty: none"
+COLUMNS = "numbers such as x=3,y=4; empty: by the header"
 
 
 def declare_scenario(node: Node) -> Scenario:
@@ -16,11 +19,11 @@ def declare_scenario(node: Node) -> Scenario:
     Raises:
         ValueError: File, key or line, value and bound.
     """
-    vehicle = declare(node, "vehicle", "paper", "shipped vehicle, or YAML file")
+    vehicle = declare(node, "vehicle", "paper", "car", shipped_or_file("vehicles"))
     default = Route()
     route = Route(
-        declare(node, "scenario", default.scenario, "shipped scenario, or YAML file"),
-        declare(node, "path", default.path, "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead"),
+        declare(node, "scenario", default.scenario, "drive", shipped_or_file("scenarios")),
+        declare(node, "path", default.path, "path instead of a scenario", CSV),
         declare(node, "speed", default.speed, "constant speed [m/s]; -1: as given", (-1, 100)),
         declare(
             node,
@@ -30,7 +33,7 @@ def declare_scenario(node: Node) -> Scenario:
             (-1, 20),
         ),
         declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
-        declare(node, "columns", default.columns, "of the CSV, such as x=3,y=4; empty: by header"),
+        declare(node, "columns", default.columns, "columns of the CSV", COLUMNS),
     )
     size = load_section(SizeParameters, find("vehicles", vehicle), "size", f"the {node.get_name()}")
     scenario = choose_scenario(route, size)

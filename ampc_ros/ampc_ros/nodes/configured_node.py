@@ -14,13 +14,14 @@ from rclpy.service import Service
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, shipped_or_file
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.nodes.failed_callbacks import shortened
 from ampc_msgs_config.parameters import ASSUMED_LAG
 from ampc_msgs_config.vehicle_warnings import vehicle_warnings
 from ampc_ros.certificate import certificate_problem
 from ampc_ros.configuration import (
+    CONTROLLERS,
     CarDifference,
     Choices,
     Configuration,
@@ -31,6 +32,7 @@ from ampc_ros.configuration import (
 )
 from ampc_ros.nodes.background import Background, Outcome
 from ampc_ros.nodes.estimate_store import STORE_PERIOD, EstimateStore
+from ampc_ros.nodes.fixed_frame import FRAME
 from ampc_ros.nodes.managed_node import ManagedNode
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.supervisor import Supervisor
@@ -38,6 +40,9 @@ from ampc_ros.supervision.warm_up import warm_up
 
 RUN_TIME = ("settings", "gain_table", "guard", "static_path")
 """Parameters that select files and may change while the controller runs."""
+
+RELOADED = "the files were read again"
+"""Change of a configuration, for the log."""
 
 
 class LoadedChoices(NamedTuple):
@@ -68,6 +73,11 @@ def load_choices(choices: Choices, number: int, require_certificate: bool) -> Lo
     return LoadedChoices(config, gain_file(choices), number, text, uncertified)
 
 
+def describe_values(changed: dict[str, Any]) -> str:
+    """Return new values of parameters, for the log."""
+    return ", ".join(f"{name} = {value!r}" for name, value in changed.items())
+
+
 class ConfiguredNode(ManagedNode):
     """A managed node around a supervisor; a change of its configuration keeps the steering.
 
@@ -88,10 +98,11 @@ class ConfiguredNode(ManagedNode):
     def declare_choices(self) -> None:
         """Declare the parameters that select the configuration."""
         default, offer = Choices(), partial(declare, self)
-        check_controller(offer("controller", default.controller, "name, or FILE.py:CLASS"))
-        offer("vehicle", default.vehicle, "shipped vehicle, or YAML file")
+        names = f"{', '.join(CONTROLLERS)}, or FILE.py:CLASS"
+        check_controller(offer("controller", default.controller, "controller", names))
+        offer("vehicle", default.vehicle, "car", shipped_or_file("vehicles"))
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
-        offer("fixed_frame", "", "frame of path and odom; empty: that of the first odom")
+        offer("fixed_frame", "", "frame of path and odom", FRAME)
         text = "start with the estimates of the last drive, in real time"
         self.estimates = EstimateStore(
             self.get_logger(),
@@ -100,9 +111,10 @@ class ConfiguredNode(ManagedNode):
         text = "reject a gain table without a valid certificate"
         self.require_certificate: bool = offer("require_certificate", False, text)
         offer = partial(declare, self, at_run_time=True)
-        offer("settings", default.settings, "shipped limits, or YAML file")
-        offer("gain_table", default.gain_table, "shipped gains, or YAML file")
-        offer("guard", default.guard, "shipped limits of the guard, or YAML file")
+        offer("settings", default.settings, "limits and solver", shipped_or_file("controllers"))
+        gains = shipped_or_file("gains", "a YAML file; empty: those of the controller")
+        offer("gain_table", default.gain_table, "gains", gains)
+        offer("guard", default.guard, "limits of every command", shipped_or_file("guards"))
         offer("static_path", self.lock_step, "the path is published once and does not grow old")
         offer("qp_fault", False, "fault injection: every solution fails")
         self.file_group = MutuallyExclusiveCallbackGroup()
@@ -218,7 +230,7 @@ class ConfiguredNode(ManagedNode):
         """Forget the estimates of the car, also the stored ones."""
         config = self.supervisor.config._replace(difference=CarDifference())
         self.supervisor.reconfigure(config)
-        self.publish_configuration()
+        self.publish_configuration("the estimates are forgotten")
         response.success, response.message = True, "the car is assumed to be as configured"
         try:
             self.estimates.remove(config)
@@ -256,7 +268,8 @@ class ConfiguredNode(ManagedNode):
             if set(changed) & set(RUN_TIME):
                 choices, (loaded, self.loaded) = self.choices(changed), (self.loaded, None)
                 outcome = loaded[1] if loaded and loaded[0] == choices else None
-                self.reconfigure(outcome.result() if outcome else self.load_here(choices))
+                loaded_choices = outcome.result() if outcome else self.load_here(choices)
+                self.reconfigure(loaded_choices, describe_values(changed))
         except Exception as error:  # the request is answered, whatever a file contains
             return SetParametersResult(successful=False, reason=shortened(str(error)))
         self.supervisor.inject_qp_fault(changed.get("qp_fault", self.supervisor.qp_fault))
@@ -270,8 +283,12 @@ class ConfiguredNode(ManagedNode):
         """
         return load_choices(choices, self.supervisor.number + 1, self.require_certificate)
 
-    def reconfigure(self, loaded: LoadedChoices) -> None:
+    def reconfigure(self, loaded: LoadedChoices, change: str) -> None:
         """Switch to another configuration; an error changes nothing.
+
+        Args:
+            loaded: Configuration.
+            change: What has changed, for the log.
 
         Raises:
             ValueError: The sample time differs, or the gains are numerically singular.
@@ -285,13 +302,19 @@ class ConfiguredNode(ManagedNode):
         self.supervisor.reconfigure(config, loaded.source)
         self.warn_uncertified(loaded.uncertified)
         fits = loaded.number == self.supervisor.number
-        self.publish_configuration(loaded.text if fits else "")
+        self.publish_configuration(change, loaded.text if fits else "")
 
-    def publish_configuration(self, text: str = "") -> None:
-        """Publish the configuration in use; `text` where it is already written."""
+    def publish_configuration(self, change: str = "", text: str = "") -> None:
+        """Publish the configuration in use, and log what has changed.
+
+        Args:
+            change: What has changed; empty: it is the first configuration.
+            text: Text of the configuration, where it is already written.
+        """
         self.outputs.publish_configuration(self.supervisor, text)
         self.warn_of_vehicle()
-        self.get_logger().info(f"configuration {self.supervisor.number} in use")
+        in_use = f"configuration {self.supervisor.number} in use"
+        self.get_logger().info(f"{in_use}: {change}" if change else in_use)
 
     def warn_of_vehicle(self) -> None:
         """Log implausible values of the vehicle, and report them once in the diagnostics."""
@@ -307,9 +330,9 @@ class ConfiguredNode(ManagedNode):
         choices = self.choices({})
         try:
             if self.loads_elsewhere:
-                self.reconfigure((await self.load_elsewhere(choices)).result())
+                self.reconfigure((await self.load_elsewhere(choices)).result(), RELOADED)
             else:
-                self.reconfigure(self.load_here(choices))
+                self.reconfigure(self.load_here(choices), RELOADED)
         except Exception as error:  # the request is answered, whatever a file contains
             response.success, response.message = False, shortened(str(error))
             self.get_logger().error(f"not reloaded: {response.message}")

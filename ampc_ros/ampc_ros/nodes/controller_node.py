@@ -21,6 +21,7 @@ from ampc_msgs_config.nodes.failed_callbacks import shortened
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.nodes.waiting import WaitLog
 from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN, Array, TickRecord
 from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.configured_node import ConfiguredNode
@@ -83,6 +84,7 @@ class ControllerNode(ConfiguredNode):
         # In real time, the clock that no other clock can stop.
         clock = None if self.lock_step else Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.on_diagnostics, clock=clock)
+        self.waiting = WaitLog(self, self.waits_for)
         self.start()
 
     def set_up(self) -> None:
@@ -423,6 +425,19 @@ class ControllerNode(ConfiguredNode):
         if self.frame.name:
             with suppress(ValueError):  # still no transform
                 self.request_path()
+
+    def waits_for(self) -> str:
+        """Return which inputs are missing and why; empty: none, or the node is not active."""
+        if not self.is_active:
+            return ""
+        odom, paths = self.inputs.topics[ros.ODOM], self.inputs.topics[ros.REFERENCE_PATH]
+        path = paths.problem(is_used=self.supervisor.path is not None, is_periodic=False)
+        kept, frame = self.newest_path, self.frame.name
+        if path and kept and frame not in ("", kept.frame_id):
+            path = f"a transform of {ros.REFERENCE_PATH} from {kept.frame_id!r} into {frame!r}"
+        return "; ".join(
+            filter(None, [odom.problem(is_used=self.supervisor.state is not None), path])
+        )
 
     def withdraw_stop(self) -> None:
         """Take back the request to stop, whatever its cause."""

@@ -9,6 +9,8 @@ from rclpy.time import Time
 from ampc_msgs_config.frames import yaw_from_quaternion
 from ampc_ros.nodes.received_path import Shift
 
+FRAME = "name of a frame; empty: that of the first odom"
+"""Values of the parameter `fixed_frame`."""
 REMEDY = "publish both in one frame, or install tf2_ros and publish the transform"
 
 

@@ -19,11 +19,12 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ampc_msgs_config import ros, topics
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find, load, shipped_or_file
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
+from ampc_msgs_config.nodes.waiting import WaitLog
 from ampc_msgs_config.parameters import (
     ChassisParameters,
     ControllerSettings,
@@ -70,6 +71,7 @@ class GateNode(BaseNode):
         self.create_service(Trigger, "~/reset", self.on_reset)
         self.outputs.publish_state(self.gate.state)
         self.clock_check = SilentClock(self)
+        self.waiting = WaitLog(self, self.waits_for)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else steady)
         if self.lock_step:
@@ -80,10 +82,12 @@ class GateNode(BaseNode):
 
     def load(self) -> None:
         """Declare the parameters, and load the files that they name."""
-        vehicle = find("vehicles", declare(self, "vehicle", "paper", "shipped vehicle, or file"))
-        guard = find("guards", declare(self, "guard", "road", "shipped limits, or file"))
-        text = "settings of the controller, for its period: shipped ones, or file"
-        settings = find("controllers", declare(self, "settings", "table3", text))
+        vehicle = find(
+            "vehicles", declare(self, "vehicle", "paper", "car", shipped_or_file("vehicles"))
+        )
+        guard = find("guards", declare(self, "guard", "road", "limits", shipped_or_file("guards")))
+        text, allowed = "settings of the controller, for its period", shipped_or_file("controllers")
+        settings = find("controllers", declare(self, "settings", "table3", text, allowed))
         text = "period of the commands [s]; -1: that of the settings"
         period = declare(self, "period", -1.0, text, (-1.0, 1.0))
         text = "rate of the outputs [Hz]"
@@ -270,6 +274,17 @@ class GateNode(BaseNode):
         if response.success:
             self.report_change(before)
         return response
+
+    def waits_for(self) -> str:
+        """Return which inputs the gate needs to start and why they are missing; empty: none."""
+        needed = {topics.STEERING_COMMAND: self.gate.command, topics.TARGET_SPEED: self.gate.target}
+        if self.lock_step:
+            needed = dict.fromkeys(needed, self.outputs.is_connected or None)
+        elif self.gate.state is not GateState.WAITING:
+            return ""
+        inputs = self.inputs.topics
+        problems = [inputs[name].problem(is_used=bool(each)) for name, each in needed.items()]
+        return "; ".join(filter(None, problems))
 
     def on_diagnostics(self) -> None:
         """Report state, reason and numbers."""

@@ -73,27 +73,27 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Set up; after a ValueError the node can be configured again."""
-        return self._attempt(self.set_up, ValueError)
+        return self._attempt(self.set_up, "configured", ValueError)
 
     def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Start to act."""
-        return self._attempt(self._activate)
+        return self._attempt(self._activate, "active")
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Publish the last messages and stop to act."""
-        return self._attempt(self._deactivate)
+        return self._attempt(self._deactivate, "inactive: no commands are published")
 
     def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Release what `set_up` created."""
-        return self._attempt(self.while_configured.close)
+        return self._attempt(self.while_configured.close, "unconfigured: all files are released")
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Publish the last messages and release everything."""
-        return self._attempt(self._release)
+        return self._attempt(self._release, "finalized: only the end of the process is left")
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Release everything after a failed transition; the node can be configured again."""
-        error, result = self.error, self._attempt(self._release)
+        error, result = self.error, self._attempt(self._release, "unconfigured after the error")
         self.error = error or self.error
         return result
 
@@ -117,17 +117,19 @@ class ManagedNode(BaseNode, LifecycleNodeMixin):
             self.while_configured.close()
 
     def _attempt(
-        self, action: Callable[[], None], expected: type[Exception] | tuple[()] = ()
+        self, action: Callable[[], None], done: str, expected: type[Exception] | tuple[()] = ()
     ) -> TransitionCallbackReturn:
         """Run a transition; an error is logged in one line, or raised by `start`.
 
         Args:
             action: Work of the transition.
+            done: State after it, for the log.
             expected: Exception of a wrong configuration, which is a FAILURE and no ERROR.
         """
         self.error = None
         try:
             action()
+            self.get_logger().info(done)
             return SUCCESS
         except Exception as error:
             self.error = error

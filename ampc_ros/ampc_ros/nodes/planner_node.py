@@ -23,11 +23,13 @@ from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.nodes.waiting import WaitLog
 from ampc_msgs_config.paths.path import NOT_CAUGHT
 from ampc_msgs_config.scenarios.scenario import MOVING, SpeedPlanner
 from ampc_msgs_config.scenarios.scenario_yaml import document, scenario_content
 from ampc_msgs_config.types import ERROR, NANOSECONDS, OK, STALE, WARN, VehicleState
 from ampc_ros.nodes.braking import Braking, StopRequests
+from ampc_ros.nodes.fixed_frame import FRAME
 from ampc_ros.supervision.checks import StateFilter
 
 SILENCE = 0.5
@@ -53,8 +55,7 @@ class PlannerNode(BaseNode):
         self.stop, self.reset_at = "", -math.inf
         self.newest: TwistStamped | None = None
         self.path_is_out = False
-        text = "frame of path and odom; empty: that of the first odom"
-        self.frame_id: str = declare(self, "fixed_frame", "", text)
+        self.frame_id: str = declare(self, "fixed_frame", "", "frame of path and odom", FRAME)
         self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.speeds = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
@@ -74,6 +75,8 @@ class PlannerNode(BaseNode):
         text = document({"scenario": scenario_content(self.scenario)})
         self.configurations.publish(String(data=text))
         self.clock_check = SilentClock(self)
+        odom = self.inputs.topics[ros.ODOM]
+        self.waiting = WaitLog(self, lambda: odom.problem(is_used=self.newest is not None))
         # In real time, the clock that no other clock can stop.
         self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else steady)
         if self.now_ns > 0:

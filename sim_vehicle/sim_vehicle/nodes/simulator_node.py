@@ -22,10 +22,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import find, load
+from ampc_msgs_config.config import find, load, shipped_or_file
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.nodes.sole_sources import SoleSources
+from ampc_msgs_config.nodes.waiting import WaitLog, why_silent
 from ampc_msgs_config.types import ERROR, NANOSECONDS, WARN
 from sim_vehicle.closed_loop import STEP_NS
 from sim_vehicle.configuration import SimulatorConfiguration, simulator_text
@@ -42,6 +43,8 @@ MAX_SILENCE = 0.5
 """Age from which a command is reported as missing, in real-time mode [s]."""
 RESEND = 0.2
 """Wall time after which an unanswered state is published again [s]."""
+COMMANDS = (ros.STEERING_COMMAND, ros.TARGET_SPEED)
+"""Topics without which the car does not move."""
 TIMED_OUT = 3
 """Exit code after the timeout of a peer."""
 
@@ -69,6 +72,7 @@ class SimulatorNode(BaseNode):
         self.wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.start_timer = self.create_timer(0.02, self.wait_for_peers, clock=self.wall)
         self.create_timer(1.0, self.on_diagnostics, clock=self.wall)
+        self.waiting = WaitLog(self, self.waits_for_peers)
         name, duration = self.simulation.scenario.name, self.simulation.scenario.duration
         self.get_logger().info(f"ready: {name}, {duration:g} s; waiting for planner and controller")
 
@@ -84,7 +88,8 @@ class SimulatorNode(BaseNode):
         scenario = declare_scenario(self)
         vehicle = load_vehicle_file(find("vehicles", self.get_parameter("vehicle").value))
         friction = declare(self, "friction", -1.0, "mu of the road; -1: that of the tyres", (-1, 3))
-        name = declare(self, "noise", "", "measurement noise: shipped name or YAML file")
+        allowed = shipped_or_file("noise", "a YAML file; empty: none")
+        name = declare(self, "noise", "", "noise of the measurement", allowed)
         seed = declare(self, "seed", 0, "seed of the noise", (0, 2**31 - 1))
         return SimulatorConfiguration(
             vehicle,
@@ -134,6 +139,15 @@ class SimulatorNode(BaseNode):
         else:
             self.begin()
 
+    def waits_for_peers(self) -> str:
+        """Return which commands the start of the drive lacks and why; empty: it has begun."""
+        if self.state and (self.lock_step or self.is_driving):
+            return ""
+        missing = [peer for peer in self.peers if not peer.get_publisher_count()]
+        if self.state:
+            missing = [self.peers[COMMANDS.index(topic)] for topic in self.unanswered()]
+        return "; ".join(why_silent(self, [peer]) for peer in missing) or self.waits_for()
+
     def begin(self) -> None:
         """Publish the first state, and start the timer of the drive."""
         self.destroy_timer(self.start_timer)
@@ -162,7 +176,7 @@ class SimulatorNode(BaseNode):
 
     def unanswered(self) -> list[str]:
         """Return the topics without a command for the present state."""
-        return [t for t in (ros.STEERING_COMMAND, ros.TARGET_SPEED) if t not in self.answers]
+        return [topic for topic in COMMANDS if topic not in self.answers]
 
     def on_unanswered(self) -> None:
         """Lock-step: publish an unanswered state again; end the drive after the timeout."""
