@@ -1,6 +1,6 @@
 """Where the parts meet: set-up, start and the scripts around a run."""
 
-from ampc_msgs_config.startup import COMMAND_PROGRAM, guard_command, runs
+from ampc_msgs_config.startup import COMMAND_PROGRAM, guard_command, program_of
 
-if runs(COMMAND_PROGRAM):
+if program_of(COMMAND_PROGRAM):
     guard_command()

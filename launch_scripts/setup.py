@@ -14,7 +14,7 @@ setup(
     python_requires=">=3.10",
     packages=[PACKAGE, *(f"{PACKAGE}.{name}" for name in find_packages())],
     package_dir={PACKAGE: "."},  # the commands are scripts in this folder
-    package_data={"": ["*.css", "*.html", "*.js", "*.json", "*.xml", "*.yaml"]},
+    package_data={"": ["*.css", "*.html", "*.js", "*.json", "*.txt", "*.xml", "*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -8,6 +8,8 @@ import os
 import re
 import signal
 import sys
+from itertools import takewhile
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -35,15 +37,31 @@ COMMAND_PROGRAM = re.compile(r"^launch_scripts\.\w+$|/lib/launch_scripts/\w+$")
 """The same for a command of launch_scripts; one that is run as a file imports `run.guard`."""
 
 
-def end_while_importing() -> None:
-    """Exit at once and without a traceback if a signal arrives while a node is being imported.
+def end_while_importing(nodes: str) -> None:
+    """Prepare the import of a node: print its help, or let signals and missing packages end it.
 
-    A missing package, or a lack of memory or threads, ends it with one line. Does nothing in a
-    process that only imports the module of a node.
+    A signal ends the process at once and without a traceback. A missing package, or a lack of
+    memory or threads, ends it with one line. Does nothing in a process that only imports the module
+    of a node.
+
+    Args:
+        nodes: File `__init__.py` of the folder with the nodes.
     """
-    if runs(NODE_PROGRAM):
-        handle_ending_signals(lambda *_: os._exit(0))
-        sys.excepthook = report_in_one_line
+    program = program_of(NODE_PROGRAM)
+    if not program:
+        return
+    handle_ending_signals(lambda *_: os._exit(0))
+    sys.excepthook = report_in_one_line
+    if {"-h", "--help"} & set(takewhile(lambda word: word != "--ros-args", sys.argv[1:])):
+        print_help(Path(nodes).with_name("help"), program)
+
+
+def print_help(folder: Path, program: str) -> None:
+    """Print the help of the node that a program runs, and exit; nothing if it is not there."""
+    name = re.split(r"[./]", program.removesuffix(".py"))[-1].removesuffix("_node")
+    for file in folder.glob(f"{name}*.txt"):
+        print(file.read_text(encoding="utf-8"), end="")
+        raise SystemExit(0)
 
 
 def guard_command() -> None:
@@ -56,9 +74,9 @@ def guard_command() -> None:
         signal.signal(signal.SIGINT, interrupt_command)
 
 
-def runs(program: re.Pattern[str]) -> bool:
-    """Return whether this process runs a program, by the arguments of its interpreter."""
-    return any(program.search(argument) for argument in sys.orig_argv[1:4])
+def program_of(pattern: re.Pattern[str]) -> str:
+    """Return the argument of the interpreter that names its program; empty: it is another one."""
+    return next(filter(pattern.search, sys.orig_argv[1:4]), "")
 
 
 def interrupt_command(_: int, frame: FrameType | None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from ampc_msgs_config.startup import INTERRUPTED, MISSING_PACKAGE, missing_package
+from tests.entry_points import EXECUTABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 FOREIGN = ("numpy", "rich", "rclpy", "mcap", "rosbags", "yaml", "numba", "scipy", "msgspec")
@@ -31,28 +32,18 @@ COMMANDS = sorted(
 )
 
 
-def entry_points() -> dict[str, str]:
-    """Return module and function of every executable by package and name."""
-    points = {}
-    for setup in sorted(ROOT.glob("*/setup.py")):
-        found = re.findall(r'"(\w+) = ([\w.]+):main"', setup.read_text(encoding="utf-8"))
-        points |= {f"{setup.parent.name}/{name}": module for name, module in found}
-    return points
-
-
-EXECUTABLES = entry_points()
 SOME_EXECUTABLES = ["launch_scripts/compare", "launch_scripts/start"]
 
 
 def run_without(
-    folder: Path, program: Path, *packages: str, action: str = HIDE
+    folder: Path, program: Path, *packages: str, action: str = HIDE, option: str = ""
 ) -> subprocess.CompletedProcess[str]:
     """Run a program in which the import of some packages has another effect."""
     site = SITE.format(packages=packages, action=action)
     (folder / "sitecustomize.py").write_text(site, encoding="utf-8")
     paths = f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     return subprocess.run(
-        [sys.executable, str(program)],
+        [sys.executable, str(program), *option.split()],
         env=os.environ | {"PYTHONPATH": paths},
         capture_output=True,
         text=True,
@@ -78,6 +69,28 @@ def assert_one_line(done: subprocess.CompletedProcess[str], packages: tuple[str,
 @pytest.mark.parametrize("name", sorted(EXECUTABLES))
 def test_an_executable_without_a_package_ends_in_one_line(name: str, tmp_path: Path) -> None:
     assert_one_line(run_without(tmp_path, executable(tmp_path, name), *FOREIGN), FOREIGN)
+
+
+NODES = sorted(name for name, module in EXECUTABLES.items() if ".nodes." in module)
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_help_of_a_node_needs_neither_ros_nor_any_other_package(name: str, tmp_path: Path) -> None:
+    done = run_without(tmp_path, executable(tmp_path, name), *FOREIGN, option="--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    package, _, node = name.partition("/")
+    assert done.stdout.startswith(f"{node}: ")
+    assert f"usage: ros2 run {package} {node} " in done.stdout
+    assert re.search(r"^Parameters .*:\n  \w+", done.stdout, re.MULTILINE)
+
+
+def test_help_of_a_node_works_for_its_module_and_not_for_ros_arguments(tmp_path: Path) -> None:
+    module = executable(tmp_path, "ampc_msgs_config/markers")
+    ros = run_without(tmp_path, module, *FOREIGN, option="--ros-args -r a:=-h")
+    assert_one_line(ros, FOREIGN)
+    command = [sys.executable, "-m", "ampc_msgs_config.nodes.marker_node", "-h"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("markers: draw the drive")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -2,4 +2,4 @@
 
 from ampc_msgs_config.startup import end_while_importing
 
-end_while_importing()
+end_while_importing(__file__)
