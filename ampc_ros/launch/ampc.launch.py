@@ -5,28 +5,28 @@ lock-step. On a real car, use ``simulate:=false lock_step:=false``. Topics stay 
 unless the environment variable is set: ``ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET ros2 launch ...``.
 """
 
-from launch import LaunchDescription
+from pathlib import Path
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
+    OpaqueFunction,
     RegisterEventHandler,
     SetEnvironmentVariable,
 )
-from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import (
-    EnvironmentVariable,
-    IfElseSubstitution,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-)
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.config import shipped_or_file
 
+RECORDER_TIMEOUT = "15"
+"""Wall time that the recorder has to close its bag, before launch sends SIGTERM [s]."""
 ARGUMENTS = {
     "scenario": ("sc1", shipped_or_file("scenarios")),
     "path": ("", "CSV of x_m,y_m[,v_mps] or t_s,x_m,y_m instead of a scenario"),
@@ -54,7 +54,13 @@ ARGUMENTS = {
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
     "namespace": ("", "namespace of nodes and topics"),
+    "use_sim_time": ("false", "follow /clock, as beside another simulator or a played bag"),
+    "params_file": (
+        "",
+        "YAML file of parameters, which hold instead of the arguments; empty: none",
+    ),
     "simulate": ("true", "start the simulator; false for a real car"),
+    "planner": ("true", "start the planner; false: another node publishes the path"),
     "gate": ("true", "start the gate, the last station before the car; false: without it"),
     "output": ("", "new folder for a recording; empty: none"),
 }
@@ -66,8 +72,19 @@ FLOATS = (
     "time_out",
     "start_time_out",
 )
-SWITCHES = ("lock_step", "static_path", "require_certificate", "store_estimates")
+SWITCHES = (
+    "lock_step",
+    "static_path",
+    "require_certificate",
+    "store_estimates",
+    "use_sim_time",
+    "simulate",
+    "planner",
+    "gate",
+)
 TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkeys(SWITCHES, bool)
+TYPE_NAMES = {float: "a number", int: "a whole number", bool: "true or false"}
+TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
@@ -92,34 +109,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=value, description=text)
         for name, (value, text) in ARGUMENTS.items()
     ]
-    simulated = IfCondition(LaunchConfiguration("simulate"))
-    recorded = NotEqualsSubstitution(LaunchConfiguration("output"), "")
-    mode = parameters("lock_step") | {
-        "wait_for_recorder": ParameterValue(recorded, value_type=bool)
-    }
-    record = parameters("output") | {"use_sim_time": parameter("lock_step")}
-    gated = LaunchConfiguration("gate")
-    renamed = [
-        (topic, IfElseSubstitution(gated, new, topic))
-        for topic, new in (
-            (topics.STEERING_COMMAND, topics.GATE_STEERING),
-            (topics.TARGET_SPEED, topics.GATE_SPEED),
-        )
-    ]
-    nodes = [
-        node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated, renamed),
-        node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
-        node("ampc_ros", "controller", mode | parameters(*CONTROL)),
-        node("ampc_ros", "gate", mode | parameters(*GATE), IfCondition(gated)),
-        node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
-    ]
-    together = [
-        RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
-        for each in nodes
-    ]
-    look = parameters("lock_step", "vehicle", "base_link_to_cg")
-    markers = node("ampc_msgs_config", "markers", look)
-    return LaunchDescription([*arguments, local_discovery(), *together, *nodes, markers])
+    return LaunchDescription([*arguments, local_discovery(), OpaqueFunction(function=start)])
 
 
 def local_discovery() -> SetEnvironmentVariable:
@@ -128,30 +118,86 @@ def local_discovery() -> SetEnvironmentVariable:
     return SetEnvironmentVariable(name, EnvironmentVariable(name, default_value="LOCALHOST"))
 
 
-def parameter(argument: str) -> ParameterValue:
-    """Return a launch argument as the value of a node's parameter."""
-    return ParameterValue(LaunchConfiguration(argument), value_type=TYPES.get(argument, str))
+def start(context: LaunchContext) -> list[Any]:
+    """Return the nodes for the arguments of a launch, and what ends them together.
+
+    Raises:
+        ValueError: An argument has a wrong value; the message names it.
+    """
+    texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    nodes = nodes_for({name: parsed(name, text) for name, text in texts.items()})
+    together = [
+        RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
+        for name, each in nodes.items()
+        if name != "markers"
+    ]
+    return [*together, *nodes.values()]
 
 
-def parameters(*names: str) -> dict[str, ParameterValue]:
-    """Return launch arguments as parameters of the same names."""
-    return {name: parameter(name) for name in names}
+def parsed(argument: str, text: str) -> Any:
+    """Return the value of a launch argument.
+
+    Raises:
+        ValueError: The text is not of its type, or names a file that does not exist.
+    """
+    kind = TYPES.get(argument, str)
+    try:
+        value = TRUTH[text.lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        message = f"launch argument {argument}:={text} must be {TYPE_NAMES[kind]}"
+        raise ValueError(message) from None
+    if argument == "params_file" and text and not Path(text).is_file():
+        raise ValueError(f"launch argument {argument}:={text} must be a file")
+    return value
 
 
-def node(
-    package: str,
-    executable: str,
-    values: dict[str, ParameterValue],
-    condition: IfCondition | None = None,
-    renamed: list[tuple[str, IfElseSubstitution]] | None = None,
-) -> Node:
-    """Return a node in the chosen namespace with its log on the screen."""
-    return Node(
-        package=package,
-        executable=executable,
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[values],
-        condition=condition,
-        remappings=renamed,
-        output="screen",
-    )
+def nodes_for(values: dict[str, Any]) -> dict[str, Node]:
+    """Return the nodes for the values of all arguments, by their names."""
+
+    def chosen(*names: str, **further: Any) -> dict[str, Any]:
+        return {name: values[name] for name in names} | further
+
+    def node(
+        package: str, name: str, parameters: dict[str, Any], renamed: Any = (), **options: Any
+    ) -> Node:
+        typed = {key: parameter(value) for key, value in parameters.items()}
+        return Node(
+            package=package,
+            executable=name,
+            namespace=values["namespace"],
+            parameters=[typed, *filter(None, [values["params_file"]])],
+            remappings=renamed,
+            output="screen",
+            **options,
+        )
+
+    lock_step, simulated_time = values["lock_step"], values["use_sim_time"]
+    mode = chosen("lock_step", "use_sim_time", wait_for_recorder=bool(values["output"]))
+    owner = mode | {"use_sim_time": simulated_time and not lock_step}
+    record = chosen("output", use_sim_time=simulated_time or lock_step)
+    look = chosen("lock_step", "use_sim_time", "vehicle", "base_link_to_cg")
+    from_gate = [
+        (topics.STEERING_COMMAND, topics.GATE_STEERING),
+        (topics.TARGET_SPEED, topics.GATE_SPEED),
+    ]
+    nodes = {"controller": node("ampc_ros", "controller", mode | chosen(*CONTROL))}
+    if values["simulate"]:
+        renamed = from_gate if values["gate"] else []
+        plant = owner | chosen(*ROUTE, *PLANT)
+        nodes["simulator"] = node("sim_vehicle", "simulator", plant, renamed)
+    if values["planner"]:
+        nodes["planner"] = node("ampc_ros", "planner", mode | chosen(*ROUTE, "fixed_frame"))
+    if values["gate"]:
+        nodes["gate"] = node("ampc_ros", "gate", mode | chosen(*GATE))
+    if values["output"]:
+        nodes["recorder"] = node(
+            "ampc_msgs_config", "recorder", record, sigterm_timeout=RECORDER_TIMEOUT
+        )
+    nodes["markers"] = node("ampc_msgs_config", "markers", look)
+    return nodes
+
+
+def parameter(value: Any) -> ParameterValue:
+    """Return a value that keeps its type; a text that looks like a number stays a text."""
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return ParameterValue(text, value_type=type(value))

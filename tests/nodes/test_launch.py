@@ -24,14 +24,16 @@ NODES: dict[str, Any] = {
     "planner": PlannerNode,
     "simulator": SimulatorNode,
 }
-OF_LAUNCH = {"lock_step", "static_path", "start_time_out"}
+OF_LAUNCH = {"lock_step", "static_path", "start_time_out", "use_sim_time"}
 """Where the launch file has defaults of its own: a whole drive is its purpose."""
+OF_THE_LAUNCH_FILE = {"namespace", "simulate", "gate", "planner", "params_file"}
+"""Arguments that are no parameters."""
 
 
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Load the launch file; what it would start is noted, for `launch` is no dependency."""
-    for name in ("actions", "conditions", "event_handlers", "events", "substitutions"):
+    for name in ("actions", "event_handlers", "events", "substitutions"):
         monkeypatch.setitem(sys.modules, f"launch.{name}", MagicMock())
     for name in ("launch", "launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
@@ -40,41 +42,54 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> Any:
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.generate_launch_description()
+    module.ParameterValue = lambda text, value_type: (text, value_type)
     return module
 
 
-def started(launch_file: Any) -> dict[str, set[str]]:
-    """Return the names of the parameters of each executable that the launch file starts."""
-    calls = [call.kwargs for call in launch_file.Node.call_args_list]
-    return {call["executable"]: set(call["parameters"][0]) for call in calls}
+def started(launch_file: Any, **arguments: str) -> dict[str, Any]:
+    """Return the arguments of each node that the launch file starts, by executable."""
+    texts = {name: default for name, (default, _) in launch_file.ARGUMENTS.items()} | arguments
+
+    def configuration(name: str) -> Any:
+        return MagicMock(perform=lambda _: texts[name])
+
+    launch_file.LaunchConfiguration = configuration
+    launch_file.Node.reset_mock()
+    launch_file.start(None)
+    return {call.kwargs["executable"]: call.kwargs for call in launch_file.Node.call_args_list}
+
+
+def parameters(node: Any) -> dict[str, Any]:
+    """Return the parameters of a node, as text and type."""
+    values = node["parameters"][0]
+    assert isinstance(values, dict)
+    return values
 
 
 def test_the_launch_file_starts_every_node_with_parameters_that_it_has(launch_file: Any) -> None:
-    given = started(launch_file)
+    given = started(launch_file, output="folder")
     assert given.keys() == {*NODES, "recorder"}
-    assert given["recorder"] == {"output", "use_sim_time"}
+    assert parameters(given["recorder"]).keys() == {"output", "use_sim_time"}
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
             add(executor, node)
-            assert given[name] <= node.get_parameters_by_prefix("").keys()
+            assert parameters(given[name]).keys() <= node.get_parameters_by_prefix("").keys()
 
 
 def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_node(
     launch_file: Any,
 ) -> None:
-    given = started(launch_file)
-    used = set().union(*given.values()) - {"use_sim_time", "wait_for_recorder"}
-    assert used | {"namespace", "simulate", "gate"} == launch_file.ARGUMENTS.keys()
+    given = started(launch_file, output="folder")
+    used = set().union(*(parameters(each) for each in given.values())) - {"wait_for_recorder"}
+    assert used | OF_THE_LAUNCH_FILE == launch_file.ARGUMENTS.keys()
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
             add(executor, node)
-            for parameter in given[name] - {"wait_for_recorder"} - OF_LAUNCH:
+            for parameter in parameters(given[name]).keys() - {"wait_for_recorder"} - OF_LAUNCH:
                 default, _ = launch_file.ARGUMENTS[parameter]
-                kind = launch_file.TYPES.get(parameter, str)
-                value = default == "true" if kind is bool else kind(default)
+                value = launch_file.parsed(parameter, default)
                 assert node.get_parameter(parameter).value == value
 
 
@@ -84,13 +99,14 @@ def test_the_launch_file_knows_every_controller(launch_file: Any) -> None:
 
 
 def test_the_end_of_every_node_but_the_markers_ends_the_others(launch_file: Any) -> None:
-    order = [call.kwargs["executable"] for call in launch_file.Node.call_args_list]
-    assert order[-1] == "markers"
-    assert launch_file.OnProcessExit.call_count == len(order) - 1
+    given = started(launch_file, output="folder")
+    assert list(given)[-1] == "markers"
+    assert launch_file.OnProcessExit.call_count == len(given) - 1
 
 
 def test_topics_stay_on_this_machine_unless_the_shell_says_otherwise(launch_file: Any) -> None:
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    launch_file.generate_launch_description()
     launch_file.EnvironmentVariable.assert_called_once_with(name, default_value="LOCALHOST")
     value = launch_file.EnvironmentVariable.return_value
     launch_file.SetEnvironmentVariable.assert_called_once_with(name, value)
@@ -99,14 +115,79 @@ def test_topics_stay_on_this_machine_unless_the_shell_says_otherwise(launch_file
 def test_with_the_gate_the_simulated_car_receives_the_commands_of_the_gate(
     launch_file: Any,
 ) -> None:
-    gate, choose = launch_file.LaunchConfiguration.return_value, launch_file.IfElseSubstitution
-    choices = [call.args for call in choose.call_args_list]
-    assert choices == [
-        (gate, f"gate/{name}", name) for name in ("steering_command", "target_speed")
-    ]
-    renamed = {
-        call.kwargs["executable"]: call.kwargs["remappings"]
-        for call in launch_file.Node.call_args_list
-    }
-    assert [topic for topic, _ in renamed.pop("simulator")] == ["steering_command", "target_speed"]
-    assert set(renamed.values()) == {None}
+    given = started(launch_file)
+    commands = ["steering_command", "target_speed"]
+    assert given["simulator"]["remappings"] == [(name, f"gate/{name}") for name in commands]
+    assert not any(each["remappings"] for name, each in given.items() if name != "simulator")
+    without = started(launch_file, gate="false")
+    assert "gate" not in without
+    assert not without["simulator"]["remappings"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "left_out"),
+    [
+        ({}, {"recorder"}),
+        ({"planner": "false"}, {"planner", "recorder"}),
+        ({"simulate": "False", "output": "folder"}, {"simulator"}),
+        ({"gate": "0", "planner": "1"}, {"gate", "recorder"}),
+    ],
+)
+def test_an_argument_leaves_a_node_out(
+    arguments: dict[str, str], left_out: set[str], launch_file: Any
+) -> None:
+    assert {*NODES, "recorder"} - started(launch_file, **arguments).keys() == left_out
+
+
+def test_simulated_time_holds_for_all_nodes_but_the_owner_of_the_clock(launch_file: Any) -> None:
+    for lock_step, use_sim_time in (("true", "false"), ("true", "true"), ("false", "true")):
+        given = started(
+            launch_file, lock_step=lock_step, use_sim_time=use_sim_time, output="folder"
+        )
+        actual = {name: parameters(each)["use_sim_time"][0] for name, each in given.items()}
+        assert actual.pop("recorder") == "true"
+        assert actual.pop("simulator") == ("false" if lock_step == "true" else "true")
+        assert set(actual.values()) == {use_sim_time}
+
+
+def test_a_file_of_parameters_comes_after_the_arguments_of_every_node(
+    launch_file: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "car.yaml"
+    file.touch()
+    given = started(launch_file, params_file=str(file), output="folder")
+    assert all(each["parameters"][1:] == [str(file)] for each in given.values())
+    assert all(len(each["parameters"]) == 1 for each in started(launch_file).values())
+
+
+def test_the_recorder_has_time_to_close_its_bag(launch_file: Any) -> None:
+    given = started(launch_file, output="folder")
+    assert float(given["recorder"]["sigterm_timeout"]) > 2 * 5.0  # twice the default of launch
+
+
+@pytest.mark.parametrize(
+    ("argument", "text", "expected"),
+    [
+        ("speed", "fast", "a number"),
+        ("friction", "", "a number"),
+        ("laps", "1.5", "a whole number"),
+        ("seed", "one", "a whole number"),
+        ("lock_step", "maybe", "true or false"),
+        ("planner", "none", "true or false"),
+        ("params_file", "/nowhere/car.yaml", "a file"),
+    ],
+)
+def test_a_wrong_argument_is_named_with_its_value(
+    argument: str, text: str, expected: str, launch_file: Any
+) -> None:
+    line = f"^launch argument {argument}:={text} must be {expected}$"
+    with pytest.raises(ValueError, match=line):
+        started(launch_file, **{argument: text})
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(True, "true"), (False, "false"), (-1.0, "-1.0"), (3, "3"), ("07", "07"), ("yes", "yes")],
+)
+def test_a_parameter_keeps_its_type(value: Any, text: str, launch_file: Any) -> None:
+    assert launch_file.parameter(value) == (text, type(value))
