@@ -1,5 +1,6 @@
 """The workspace: colcon packages, manifests, and error messages of bootstrap."""
 
+import configparser
 import importlib
 import importlib.util
 import os
@@ -7,9 +8,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
+from ampc_msgs_config import __version__
 from launch_scripts import bootstrap
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +60,35 @@ def test_manifest_and_setup_agree_on_version_and_maintainer(package: str) -> Non
         found = re.search(pattern, manifest)
         assert found
         assert f'"{found[1]}"' in setup
+
+
+def test_one_version_stands_in_every_file_that_states_it() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    versions = {"README.md": re.findall(r"version = \{(.+?)\}", readme)}
+    for file in sorted(ROOT.glob("*/package.xml")):
+        versions[str(file)] = re.findall("<version>(.+)</version>", file.read_text("utf-8"))
+    for file in (ROOT / "CHANGELOG.rst", *sorted(ROOT.glob("*/CHANGELOG.rst"))):
+        released = re.findall(r"^(\d+\.\d+\.\d+) \(", file.read_text("utf-8"), re.MULTILINE)
+        versions[str(file)] = released[:1]
+    assert len(versions) == 2 + 2 * len(PACKAGES)
+    assert set(map(tuple, versions.values())) == {(__version__,)}
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_each_package_contains_the_licence_that_its_manifest_names(package: str) -> None:
+    root = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    file = ROOT / package / root.findall("license")[0].attrib["file"]
+    assert file.parent == ROOT / package
+    assert file.read_bytes() == (ROOT / "LICENSE").read_bytes()
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_colcon_test_finds_tests_for_each_package(package: str) -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / package / "setup.cfg")
+    folders = config["tool:pytest"]["testpaths"].split()
+    assert folders
+    assert all(list((ROOT / package / folder).glob("test_*.py")) for folder in folders)
 
 
 @pytest.mark.parametrize("package", sorted(PACKAGES))
