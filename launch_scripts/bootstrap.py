@@ -21,6 +21,7 @@ import subprocess
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 WORKSPACE = Path(__file__).resolve().parents[1]
 VENV = WORKSPACE / ".venv"
@@ -194,27 +195,39 @@ def build_workspace() -> None:
         line = cause[0] if cause else last_line(output)
         raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(WORKSPACE)})")
     command = [str(PYTHON), "-m", "launch_scripts.compile_all"]
-    output, failed = run("compiling control tick and simulated car", command)
+    output, failed = run("compiling control tick and simulated car", command, shown="compiling")
     if failed:
         raise SetupError(f"compiling failed: {last_line(output)} ({LOG.relative_to(WORKSPACE)})")
 
 
-def run(title: str, command: Sequence[str]) -> tuple[str, bool]:
+def run(title: str, command: Sequence[str], shown: str = "") -> tuple[str, bool]:
     """Run a command in the root folder, show its duration, and log its output.
+
+    Args:
+        title: What the command does.
+        command: Program and arguments.
+        shown: Beginning of the lines of its output that are printed as they come; empty: none.
 
     Returns:
         Output of the command, and whether it failed.
     """
-    start = time.monotonic()
+    start, lines = time.monotonic(), []
     print(f"bootstrap: {title} ...", end="", flush=True)
-    with LOG.open("a+", encoding="utf-8", errors="replace") as log:
-        begin = log.seek(0, os.SEEK_END)
-        code = subprocess.call(
-            command, cwd=WORKSPACE, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
-        )
-        print(f" {time.monotonic() - start:.0f} s", flush=True)
-        log.seek(begin)
-        return log.read(), code != 0
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    pipes |= {"encoding": "utf-8", "errors": "replace", "stdin": subprocess.DEVNULL}
+    with (
+        LOG.open("a", encoding="utf-8", errors="replace") as log,
+        subprocess.Popen(command, cwd=WORKSPACE, **pipes) as process,
+    ):
+        assert process.stdout
+        for line in process.stdout:
+            log.write(line)
+            log.flush()
+            lines.append(line)
+            if shown and line.startswith(shown):
+                print(f"\nbootstrap: {line.rstrip()}", end="", flush=True)
+    print(f" {time.monotonic() - start:.0f} s", flush=True)
+    return "".join(lines), process.returncode != 0
 
 
 def last_line(output: str) -> str:

@@ -2,11 +2,12 @@
 
 import argparse
 import sys
-import time
+from functools import partial
 
 if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
 
+from ampc_msgs_config.compilation import log_compilation
 from ampc_msgs_config.config import find
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices, configuration
@@ -15,19 +16,25 @@ from ampc_ros.supervision.warm_up import warm_up
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 
+WHAT = "control tick and simulated car"
+
 
 def main() -> int:
-    """Drive a moment with every controller; the machine code is stored in the user's cache."""
+    """Compile everything that a drive needs; the machine code is stored in the user's cache."""
     argparse.ArgumentParser(description=__doc__).parse_args()
-    begin = time.monotonic()
+    with log_compilation(WHAT, partial(print, flush=True)):
+        compile_everything()
+    return 0
+
+
+def compile_everything() -> None:
+    """Drive a moment with every controller."""
     vehicle = load_vehicle_file(find("vehicles", Choices().vehicle))
     scenario = load_scenario("sc1", vehicle.size)._replace(duration=0.2)
     for name in CONTROLLERS:
         choices = Choices(controller=name)
         warm_up(configuration(choices))
         drive(Simulation(vehicle, scenario), make_controller(choices))
-    print(f"compiled in {time.monotonic() - begin:.0f} s")
-    return 0
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def identify_bag(options: argparse.Namespace, console: Console, command: str) ->
     count = f"{len(recording.time)} states, {len(recording.command)} commands"
     log(f"{count}, {len(recording.steering)} measured steering angles; start: {vehicle.name}")
     # Identify
-    from ampc_msgs_config.compiled import log_compilation
+    from ampc_msgs_config.compilation import log_compilation
     from ampc_ros.identification.estimate import compile_model
     from ampc_ros.identification.result import identify
 

@@ -11,13 +11,12 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import event
 
 from ampc_msgs_config.checked_cache import store_on_disk
 
@@ -142,43 +141,3 @@ def inlined(function: F) -> F:
     become SIMD code, and for the links of a call chain, which are then optimised only once.
     """
     return compile_without_allocation(function, inline="always")
-
-
-@contextmanager
-def on_compilation(callback: Callable[[], object]) -> Iterator[None]:
-    """Call back at the start of each compilation inside the block.
-
-    Note:
-        `numba.core.event` is a private interface of numba: this is the only place that uses it.
-    """
-
-    class Listener(event.Listener):
-        def on_start(self, _: Any) -> None:
-            callback()
-
-        def on_end(self, _: Any) -> None:
-            pass
-
-    with event.install_listener("numba:compile", Listener()):
-        yield
-
-
-@contextmanager
-def log_compilation(what: str, log: Callable[[str], object]) -> Iterator[None]:
-    """Log the start and the duration of a compilation inside the block; nothing if there is none.
-
-    Args:
-        what: Name of what is compiled, for the user.
-        log: Receives the lines.
-    """
-    begin: list[float] = []
-
-    def start() -> None:
-        if not begin:
-            begin.append(time.monotonic())
-            log(f"compiling the {what} (once after an update, about 20 s) ...")
-
-    with on_compilation(start):
-        yield
-    if begin:
-        log(f"compiled the {what} in {time.monotonic() - begin[0]:.0f} s")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.compiled import log_compilation
+from ampc_msgs_config.compilation import log_compilation
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import NOT_CAUGHT
 from ampc_msgs_config.paths.path_frame import PathFrame, path_frame

@@ -13,6 +13,12 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
+from ampc_msgs_config.compilation import (
+    Estimate,
+    compile_times,
+    log_compilation,
+    on_compilation,
+)
 from ampc_msgs_config.compiled import (
     COMPILED_PACKAGES,
     STORED_VERSIONS,
@@ -20,12 +26,11 @@ from ampc_msgs_config.compiled import (
     cache_folder,
     compile_without_allocation,
     compiled,
-    log_compilation,
-    on_compilation,
     open_version,
     private_temporary_folder,
     source_hash,
 )
+from tests.workshop.proofs.compile_times import COMPILATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 BAD_HOMES = ["/proc/nobody", "/dev/null"]
@@ -109,7 +114,7 @@ def test_a_process_without_a_home_compiles_into_the_temporary_folder(tmp_path: P
 
 COUNT = """
 import sys
-from ampc_msgs_config.compiled import on_compilation
+from ampc_msgs_config.compilation import on_compilation
 from ampc_ros.preview.model import understeer_gradient
 calls = []
 with on_compilation(lambda: calls.append(1)):
@@ -248,3 +253,78 @@ def test_compilation_is_logged_once_at_its_start_and_once_at_its_end() -> None:
     with log_compilation("controller", lines.append):
         outer(1.0)
     assert len(lines) == 2
+
+
+@needs_compilation
+def test_the_end_of_a_compilation_names_the_function_and_its_own_time() -> None:
+    ended: list[tuple[str, float]] = []
+
+    @compiled
+    def inner_function(x: float) -> float:
+        return x + 1.0
+
+    @compiled
+    def outer_function(x: float) -> float:
+        return inner_function(x) * 2.0
+
+    begin = time.monotonic()
+    with on_compilation(lambda: None, lambda name, own: ended.append((name, own))):
+        outer_function(1.0)
+    duration = time.monotonic() - begin
+    assert [name.rpartition(".")[2] for name, _ in ended] == ["inner_function", "outer_function"]
+    assert all(name.startswith(f"{__name__}.") for name, _ in ended)
+    assert 0.0 < sum(own for _, own in ended) <= duration
+
+
+def test_the_remaining_time_follows_from_the_speed_of_this_machine() -> None:
+    estimate = Estimate({"quick": 1.0, "slow": 3.0, "last": 4.0})
+    assert estimate.text(1.0) == ""
+    estimate.take("unknown")
+    assert estimate.text(1.0) == ""
+    estimate.take("quick")
+    assert estimate.text(5.0) == "12%, about 35 s left"
+    estimate.take("quick")
+    estimate.take("slow")
+    assert estimate.text(20.0) == "50%, about 20 s left"
+    estimate.take("last")
+    assert estimate.text(40.0) == "100%, about 0 s left"
+
+
+@needs_compilation
+@pytest.mark.parametrize(
+    ("times", "first", "second"),
+    [
+        ({"a": 30.0, "b": 30.0}, ", about 60 s) ...", r"compiling the car: 50%, about \d+ s left"),
+        ({}, "(once after an update) ...", r"compiling the car: \d+ s"),
+    ],
+)
+def test_progress_is_logged_without_a_terminal(
+    times: dict[str, float], first: str, second: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @compiled
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    name = f"{__name__}.{double.__qualname__}"
+    known = {{"a": name}.get(key, key): value for key, value in times.items()}
+    monkeypatch.setattr("ampc_msgs_config.compilation.compile_times", lambda _: known)
+    monkeypatch.setattr("ampc_msgs_config.compilation.INTERVAL_OF_LINES", 0.0)
+    lines: list[str] = []
+    with log_compilation("car", lines.append):
+        double(1.0)
+    assert len(lines) == 3
+    assert lines[0].endswith(first)
+    assert re.fullmatch(second, lines[1])
+    assert lines[2].startswith("compiled the car in ")
+
+
+def test_times_of_every_compilation_are_shipped() -> None:
+    for what in COMPILATIONS:
+        times = compile_times(what)
+        assert len(times) > 2
+        assert all(seconds > 0.0 for seconds in times.values())
+    assert compile_times("something else") == {}
+    sources = [*ROOT.glob("*/*/**/*.py"), *ROOT.glob("launch_scripts/**/*.py")]
+    words = set(re.findall(r"def (\w+)", "\n".join(each.read_text("utf-8") for each in sources)))
+    names = {name.rpartition(".")[2] for what in COMPILATIONS for name in compile_times(what)}
+    assert len(names - words) < 0.1 * len(names), "python -m tests.workshop.proofs.compile_times"

@@ -152,7 +152,7 @@ def log_compilation_of(
     """Log what the constructor of a node compiles, if it compiles at all."""
     if not getattr(make_node, "has_compiled_code", True):
         return nullcontext()
-    from ampc_msgs_config.compiled import log_compilation  # imports numba
+    from ampc_msgs_config.compilation import log_compilation  # imports numba
 
     return log_compilation(name, get_logger(name).info)
 

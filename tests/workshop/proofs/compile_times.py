@@ -1,0 +1,100 @@
+"""Measure how long each function takes to compile, for the estimates of the remaining time.
+
+`python -m tests.workshop.proofs.compile_times` compiles everything anew, each node in a process of
+its own with an empty cache, and writes `ampc_msgs_config/config/compile_times.json` (some minutes
+of processor time). The times depend on the machine; an estimate uses their ratios.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from ampc_msgs_config.compilation import TIMES, on_compilation
+
+LEAST = 0.02
+"""Functions that compile faster are left out [s]."""
+
+
+def compile_node(module: str, name: str) -> None:
+    """Create a node, which compiles everything that it calls."""
+    import rclpy
+
+    rclpy.init()
+    getattr(__import__(module, fromlist=[name]), name)().destroy_node()
+    rclpy.shutdown()
+
+
+def compile_drive() -> None:
+    """Compile what `make setup` compiles."""
+    from launch_scripts.compile_all import compile_everything
+
+    compile_everything()
+
+
+def compile_identification() -> None:
+    """Compile the model of `identify.py`."""
+    from ampc_ros.identification.estimate import compile_model
+
+    compile_model()
+
+
+def compile_fleet() -> None:
+    """Compile the fleet of `tune.py`, with a swarm of one particle."""
+    from launch_scripts.tune import main
+
+    with tempfile.TemporaryDirectory() as folder, suppress(SystemExit):
+        main(
+            f"--particles 2 --generations 1 --seeds 1 --workers 1 --output {folder}/g.yaml".split()
+        )
+
+
+COMPILATIONS: dict[str, Callable[[], None]] = {
+    "control tick and simulated car": compile_drive,
+    "controller": lambda: compile_node("ampc_ros.nodes.controller_node", "ControllerNode"),
+    "simulator": lambda: compile_node("sim_vehicle.nodes.simulator_node", "SimulatorNode"),
+    "planner": lambda: compile_node("ampc_ros.nodes.planner_node", "PlannerNode"),
+    "marker": lambda: compile_node("ampc_msgs_config.nodes.marker_node", "MarkerNode"),
+    "fleet of cars": compile_fleet,
+    "model of the identification": compile_identification,
+}
+"""By the name with which `log_compilation` reports it."""
+
+
+def measure(what: str) -> dict[str, float]:
+    """Return the time of each function of a compilation [s], in this process."""
+    times: Counter[str] = Counter()
+    with on_compilation(lambda: None, lambda name, own: times.update({name: own})):
+        COMPILATIONS[what]()
+    return {name: round(own, 2) for name, own in sorted(times.items()) if own >= LEAST}
+
+
+def measure_elsewhere(what: str) -> dict[str, float]:
+    """Return the same, in a process with an empty cache."""
+    with tempfile.TemporaryDirectory() as cache, tempfile.NamedTemporaryFile("r") as result:
+        command = [sys.executable, "-m", __spec__.name if __spec__ else "", what, result.name]
+        subprocess.run(command, env=os.environ | {"NUMBA_CACHE_DIR": cache}, check=True)
+        times: dict[str, float] = json.load(result)
+    return times
+
+
+def main() -> int:
+    """Measure everything, or with two arguments one compilation into a file."""
+    if len(sys.argv) == 3:
+        Path(sys.argv[2]).write_text(json.dumps(measure(sys.argv[1])), encoding="utf-8")
+        return 0
+    table = {}
+    for what in COMPILATIONS:
+        table[what] = measure_elsewhere(what)
+        print(f"{what}: {len(table[what])} functions, {sum(table[what].values()):.0f} s")
+    Path(str(TIMES)).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
