@@ -13,12 +13,13 @@ from tests.contract.test_architecture import BELOW, ROOT, imported, packages, so
 KEYS = {
     "yaml": "python3-yaml",
     "rosbags": "python3-rosbags-pip",
+    "tf2_ros": "tf2_ros_py",
     **{
         name: f"python3-{name}"
         for name in ("jinja2", "matplotlib", "numba", "numpy", "rich", "scipy")
     },
 }
-"""Keys of rosdep for Ubuntu 24.04 (rosdep/python.yaml of ros/rosdistro) by module."""
+"""Keys of rosdep for Ubuntu 24.04 (rosdep/python.yaml of ros/rosdistro), or packages, by module."""
 NO_KEY = {"lz4", "markupsafe", "mcap", "msgspec", "plotly", "tsdownsample", "zstandard"}
 """Modules without a key of rosdep, which lock/requirements.txt installs."""
 NOT_OF_THE_PRODUCT = {"cma", "distributed", "setuptools"}
