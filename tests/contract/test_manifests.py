@@ -24,6 +24,8 @@ NO_KEY = {"lz4", "markupsafe", "mcap", "msgspec", "plotly", "tsdownsample", "zst
 """Modules without a key of rosdep, which lock/requirements.txt installs."""
 NOT_OF_THE_PRODUCT = {"cma", "distributed", "setuptools"}
 """Of a study, of a cluster, and of setup.py."""
+OF_OTHER_STACKS = re.compile(r"(ackermann|autoware|carla)\w*_msgs")
+"""Message packages that are imported only where a parameter selects them."""
 LOADED_BY_NAME = re.compile(r"(\w+)/(?:msg|srv)/\w+")
 """Message types as text, whose package is imported when the message is used."""
 
@@ -32,7 +34,8 @@ def modules(package: str) -> set[str]:
     """Return the top-level modules that the sources and launch files of a package import."""
     files = [*sources(package), *sorted((ROOT / package).glob("launch/*.py"))]
     names = set().union(*(packages(imported(file)) | loaded_by_name(file) for file in files))
-    return names - sys.stdlib_module_names - {package, "run"} - NOT_OF_THE_PRODUCT
+    names -= {*sys.stdlib_module_names, package, "run"} | NOT_OF_THE_PRODUCT
+    return {name for name in names if not OF_OTHER_STACKS.fullmatch(name)}
 
 
 def loaded_by_name(file: Path) -> set[str]:
