@@ -99,7 +99,7 @@ class ConfiguredNode(ManagedNode):
         """Declare the parameters that select the configuration."""
         default, offer = Choices(), partial(declare, self)
         names = f"{', '.join(CONTROLLERS)}, or FILE.py:CLASS"
-        check_controller(offer("controller", default.controller, "controller", names))
+        check_controller(offer("controller", default.controller, "kind of controller", names))
         offer("vehicle", default.vehicle, "car", shipped_or_file("vehicles"))
         offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
         offer("fixed_frame", "", "frame of path and odom", FRAME)

@@ -52,9 +52,7 @@ def help_text(executable: str) -> str:
         with ros_context("-r", f"__ns:={NAMESPACE}", **more) as executor:
             node = node_class(module)()
             executor.add_node(node)
-            if hasattr(node, "subscribe") and not list(
-                inspect.signature(node.subscribe).parameters
-            ):
+            if hasattr(node, "unsubscribe"):
                 node.subscribe()  # the markers subscribe only while somebody looks
             paragraphs = [
                 usage(executable, module),
@@ -126,14 +124,11 @@ def topic_rows(endpoints: Iterable[Any]) -> list[tuple[str, str]]:
 
 def service_rows(node: Node) -> list[tuple[str, str]]:
     """Return name and type of the services of a node, without those that rclpy adds."""
-    own = f"{node.get_fully_qualified_name()}/"
+    names = {each.srv_name.rpartition("/")[2]: each.srv_type for each in node.services}
     return sorted(
-        (
-            f"~/{each.srv_name.removeprefix(own)}",
-            each.srv_type.__module__.partition(".")[0] + "/srv/" + each.srv_type.__name__,
-        )
-        for each in node.services
-        if each.srv_type.__module__.startswith("std_srvs")
+        (f"~/{name}", f"std_srvs/srv/{kind.__name__}")
+        for name, kind in names.items()
+        if kind.__module__.startswith("std_srvs")
     )
 
 
