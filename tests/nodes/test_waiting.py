@@ -133,6 +133,11 @@ def test_a_publisher_that_is_silent_stops_or_is_rejected_is_named() -> None:
         add(executor, node, car)
         odom = car.create_publisher(Odometry, ros.ODOM, ros.RELIABLE)
         paths = car.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
+
+        def is_driving_and(expected: str) -> bool:
+            odom.publish(ros.odometry_message(STATE._replace(stamp_ns=node.now_ns)))
+            return node.waits_for() == expected
+
         silent = "/odom: /car publishes nothing; /reference_path: /car publishes nothing"
         spin_until(executor, lambda: node.waits_for() == silent)
 
@@ -146,14 +151,12 @@ def test_a_publisher_that_is_silent_stops_or_is_rejected_is_named() -> None:
         # a path in a frame without a transform
         paths.publish(ros.path_message(STRAIGHT, node.now_ns, "odom"))
         spin_until(executor, lambda: node.newest_path is not None)
-        odom.publish(ros.odometry_message(STATE._replace(stamp_ns=node.now_ns)))
         no_transform = "a transform of reference_path from 'odom' into 'map'"
-        spin_until(executor, lambda: node.waits_for() == no_transform)
+        spin_until(executor, lambda: is_driving_and(no_transform))
 
         # a car that falls silent; the path may be old
         paths.publish(ros.path_message(STRAIGHT, node.now_ns))
-        odom.publish(ros.odometry_message(STATE._replace(stamp_ns=node.now_ns)))
-        spin_until(executor, lambda: node.waits_for() == "")
+        spin_until(executor, lambda: is_driving_and(""))
         node.inputs.topics[ros.ODOM].arrived_at = time.monotonic() - 2.0 * STOPPED
         node.inputs.topics[ros.REFERENCE_PATH].arrived_at = time.monotonic() - 2.0 * STOPPED
         assert node.waits_for() == "/odom: /car has stopped publishing"
