@@ -42,7 +42,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> Any:
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.ParameterValue = lambda text, value_type: (text, value_type)
+    monkeypatch.setattr(module, "ParameterValue", lambda text, value_type: (text, value_type))
     return module
 
 

@@ -277,13 +277,14 @@ class GateNode(BaseNode):
 
     def waits_for(self) -> str:
         """Return which inputs the gate needs to start and why they are missing; empty: none."""
-        needed = {topics.STEERING_COMMAND: self.gate.command, topics.TARGET_SPEED: self.gate.target}
-        if self.lock_step:
-            needed = dict.fromkeys(needed, self.outputs.is_connected or None)
-        elif self.gate.state is not GateState.WAITING:
+        if not self.lock_step and self.gate.state is not GateState.WAITING:
             return ""
-        inputs = self.inputs.topics
-        problems = [inputs[name].problem(is_used=bool(each)) for name, each in needed.items()]
+        is_connected = self.lock_step and self.outputs.is_connected
+        needed = {topics.STEERING_COMMAND: self.gate.command, topics.TARGET_SPEED: self.gate.target}
+        problems = [
+            self.inputs.topics[name].problem(is_used=is_connected or each is not None)
+            for name, each in needed.items()
+        ]
         return "; ".join(filter(None, problems))
 
     def on_diagnostics(self) -> None:

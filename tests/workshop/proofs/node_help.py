@@ -124,7 +124,9 @@ def topic_rows(endpoints: Iterable[Any]) -> list[tuple[str, str]]:
 
 def service_rows(node: Node) -> list[tuple[str, str]]:
     """Return name and type of the services of a node, without those that rclpy adds."""
-    names = {each.srv_name.rpartition("/")[2]: each.srv_type for each in node.services}
+    names: dict[str, Any] = {
+        each.srv_name.rpartition("/")[2]: each.srv_type for each in node.services
+    }
     return sorted(
         (f"~/{name}", f"std_srvs/srv/{kind.__name__}")
         for name, kind in names.items()
