@@ -206,7 +206,7 @@ def run(title: str, command: Sequence[str], shown: str = "") -> tuple[str, bool]
     Args:
         title: What the command does.
         command: Program and arguments.
-        shown: Beginning of the lines of its output that are printed as they come; empty: none.
+        shown: Pattern of the lines of its output that are printed as they come; empty: none.
 
     Returns:
         Output of the command, and whether it failed.
@@ -224,9 +224,10 @@ def run(title: str, command: Sequence[str], shown: str = "") -> tuple[str, bool]
             log.write(line)
             log.flush()
             lines.append(line)
-            if shown and line.startswith(shown):
+            if shown and re.match(shown, line):
                 print(f"\nbootstrap: {line.rstrip()}", end="", flush=True)
-    print(f" {time.monotonic() - start:.0f} s", flush=True)
+    done = "\nbootstrap: done in" if shown and any(re.match(shown, line) for line in lines) else ""
+    print(f"{done} {time.monotonic() - start:.0f} s", flush=True)
     return "".join(lines), process.returncode != 0
 
 
