@@ -160,7 +160,10 @@ def nodes_for(values: dict[str, Any]) -> dict[str, Node]:
     def node(
         package: str, name: str, parameters: dict[str, Any], renamed: Any = (), **options: Any
     ) -> Node:
-        typed = {key: parameter(value) for key, value in parameters.items()}
+        # a text that looks like a number stays a text
+        typed = {
+            key: ParameterValue(value, value_type=type(value)) for key, value in parameters.items()
+        }
         return Node(
             package=package,
             executable=name,
@@ -195,9 +198,3 @@ def nodes_for(values: dict[str, Any]) -> dict[str, Node]:
         )
     nodes["markers"] = node("ampc_msgs_config", "markers", look)
     return nodes
-
-
-def parameter(value: Any) -> ParameterValue:
-    """Return a value that keeps its type; a text that looks like a number stays a text."""
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    return ParameterValue(text, value_type=type(value))
