@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from ampc_msgs_config.startup import INTERRUPTED, MISSING_PACKAGE, missing_package
+from launch_scripts.bootstrap import QUIET_START
 from tests.entry_points import EXECUTABLES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -151,6 +152,24 @@ def test_an_interruption_inside_a_command_raises_as_ever(tmp_path: Path) -> None
     )
     done = run_without(tmp_path, program)
     assert (done.returncode, done.stdout, done.stderr) == (INTERRUPTED, "cleaned up\n", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "last"),
+    [("ampc_ros/gate", 0, ""), ("sim_vehicle/simulator", 0, ""), ("other/gate", 1, "ended")],
+)
+def test_an_interruption_before_the_first_import_ends_a_node_silently(
+    name: str, code: int, last: str, tmp_path: Path
+) -> None:
+    (tmp_path / "workspace.pth").write_text(QUIET_START, encoding="utf-8")
+    program = tmp_path / "lib" / name
+    program.parent.mkdir(parents=True)
+    program.write_text(
+        f"import site, os, sys\nsite.addsitedir({str(tmp_path)!r})\n"
+        "try:\n    os.kill(os.getpid(), 2)\nexcept KeyboardInterrupt:\n    sys.exit('ended')\n"
+    )
+    done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.strip()) == (code, last)
 
 
 def test_an_error_of_the_code_keeps_its_traceback(tmp_path: Path) -> None:
