@@ -30,12 +30,17 @@ LOCKS = WORKSPACE / "lock"
 LOG = WORKSPACE / "log" / "bootstrap.log"
 COLCON_PACKAGES = ("ampc_msgs_config", "ampc_ros", "sim_vehicle", "launch_scripts")
 SOURCES = (WORKSPACE, *(WORKSPACE / package for package in COLCON_PACKAGES[:-1]))
-QUIET_START = (
-    "import os, _signal, sys; [_signal.signal(2, lambda *_: os._exit(0))"
-    " for each in sys.orig_argv[1:2] if '/lib/ampc_' in each or '/lib/sim_vehicle/' in each]\n"
-)
-"""Line of a .pth file: SIGINT ends a node silently from the first moment of Python on. The node
-itself installs its handlers later, after setuptools has imported what looks up the entry point."""
+QUIET_START = '''"""SIGINT ends a node silently from the first moment of Python on."""
+
+import _signal  # the module signal takes longer to import
+import os
+import sys
+
+if any("/lib/ampc_" in each or "/lib/sim_vehicle/" in each for each in sys.orig_argv[1:2]):
+    _signal.signal(_signal.SIGINT, lambda *_: os._exit(0))
+'''
+"""Module that .venv imports at the start of Python. A node installs its own handlers later, after
+the modules are imported with which setuptools looks up the entry point."""
 
 PIP_FAILURES = {
     r"Failed to establish a new connection|Temporary failure in name resolution|ProxyError"
@@ -171,7 +176,9 @@ def create_venv(with_ros: bool) -> None:
         raise SetupError(f".venv cannot be created: {last_line(output)}")
     site_packages = next(VENV.glob("lib/python3*/site-packages"))
     lines = "".join(f"{source}\n" for source in SOURCES)
-    (site_packages / "ampc_workspace.pth").write_text(lines + QUIET_START, encoding="utf-8")
+    lines += "import ampc_quiet_start\n"
+    (site_packages / "ampc_workspace.pth").write_text(lines, encoding="utf-8")
+    (site_packages / "ampc_quiet_start.py").write_text(QUIET_START, encoding="utf-8")
 
 
 def install(requirements: Sequence[Path]) -> None:

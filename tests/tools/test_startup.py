@@ -161,7 +161,8 @@ def test_an_interruption_inside_a_command_raises_as_ever(tmp_path: Path) -> None
 def test_an_interruption_before_the_first_import_ends_a_node_silently(
     name: str, code: int, last: str, tmp_path: Path
 ) -> None:
-    (tmp_path / "workspace.pth").write_text(QUIET_START, encoding="utf-8")
+    (tmp_path / "ampc_quiet_start.py").write_text(QUIET_START, encoding="utf-8")
+    (tmp_path / "workspace.pth").write_text("import ampc_quiet_start\n", encoding="utf-8")
     program = tmp_path / "lib" / name
     program.parent.mkdir(parents=True)
     program.write_text(
