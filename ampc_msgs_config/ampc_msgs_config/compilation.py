@@ -23,23 +23,23 @@ def on_compilation(
 
     Args:
         started: Is called at the start.
-        ended: Receives module and name of the function, and the time of its compilation without
-            that of the functions that it calls [s].
+        ended: Receives module and name of the function, and the processor time of its compilation
+            without that of the functions that it calls [s].
 
     Note:
         `numba.core.event` is a private interface of numba: this is the only place that uses it.
     """
-    inner = [0.0]  # times of the compilations inside each open one
+    inner = [0.0]  # processor times of the compilations inside each open one
     begins: list[float] = []
 
     class Listener(event.Listener):
         def on_start(self, _: Any) -> None:
-            begins.append(time.monotonic())
+            begins.append(time.thread_time())
             inner.append(0.0)
             started()
 
         def on_end(self, now: Any) -> None:
-            duration = time.monotonic() - begins.pop()
+            duration = time.thread_time() - begins.pop()
             own = duration - inner.pop()
             inner[-1] += duration
             function = now.data["dispatcher"].py_func

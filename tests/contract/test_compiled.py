@@ -267,10 +267,10 @@ def test_the_end_of_a_compilation_names_the_function_and_its_own_time() -> None:
     def outer_function(x: float) -> float:
         return inner_function(x) * 2.0
 
-    begin = time.monotonic()
+    begin = time.thread_time()
     with on_compilation(lambda: None, lambda name, own: ended.append((name, own))):
         outer_function(1.0)
-    duration = time.monotonic() - begin
+    duration = time.thread_time() - begin
     assert [name.rpartition(".")[2] for name, _ in ended] == ["inner_function", "outer_function"]
     assert all(name.startswith(f"{__name__}.") for name, _ in ended)
     assert 0.0 < sum(own for _, own in ended) <= duration
