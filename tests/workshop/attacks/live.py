@@ -52,7 +52,7 @@ class Session:
         auditor.publish_path()
 
     def start(self, name: str) -> None:
-        """Start a node in the place of an earlier one; the state of an earlier gate is forgotten."""
+        """Start a node in the place of an earlier one; the state of a gate is forgotten."""
         if name == "gate":
             self.auditor.state = ""
         self.nodes.start(name, MODULES[name], self.parameters[name])
