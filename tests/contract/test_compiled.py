@@ -321,7 +321,7 @@ def test_progress_is_logged_without_a_terminal(
 def test_times_of_every_compilation_are_shipped() -> None:
     for what in COMPILATIONS:
         times = compile_times(what)
-        assert len(times) > 2
+        assert times
         assert all(seconds > 0.0 for seconds in times.values())
     assert compile_times("something else") == {}
     sources = [*ROOT.glob("*/*/**/*.py"), *ROOT.glob("launch_scripts/**/*.py")]
