@@ -93,7 +93,7 @@ class ContentLocator(LOCATOR):  # type: ignore[misc]
     def __init__(self, function: Any, file: str) -> None:
         """Derive the folder from a function and the file that defines it."""
         super().__init__(function, file)
-        folder = f"{function.__module__}-{content_digest(file)[:16]}"
+        folder = f"{function.__module__}-{digest_of_source(file)[:16]}"
         self._cache_path = str(Path(config.CACHE_DIR) / folder)  # type: ignore[attr-defined]
 
 
@@ -145,7 +145,7 @@ def remove(path: Path, fault: str = "cannot be loaded") -> None:
 
 
 @cache
-def content_digest(file: str) -> str:
+def digest_of_source(file: str) -> str:
     """Return a digest of the content of a source file."""
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 

@@ -17,7 +17,7 @@ from ampc_msgs_config.signals import handle_ending_signals, interrupt
 
 MISSING_PACKAGE = 2
 """Exit code where a package cannot be imported."""
-INTERRUPTED = 128 + signal.SIGINT
+AFTER_SIGINT = 128 + signal.SIGINT
 """Exit code of a command that SIGINT ends."""
 SYSTEM_ERRORS = (ImportError, MemoryError, OSError, SystemError)
 """Exceptions that a lack of memory, threads or files causes, also while modules are imported."""
@@ -33,8 +33,6 @@ NODE_PROGRAM = re.compile(
     r"|/nodes/\w+_node\.py$"
 )
 """Arguments of an interpreter that runs a node: module, entry point or file."""
-COMMAND_PROGRAM = re.compile(r"^launch_scripts\.\w+$|/lib/launch_scripts/\w+$")
-"""The same for a command of launch_scripts; one that is run as a file imports `run.guard`."""
 
 
 def end_while_importing(nodes: str) -> None:
@@ -47,7 +45,7 @@ def end_while_importing(nodes: str) -> None:
     Args:
         nodes: File `__init__.py` of the folder with the nodes.
     """
-    program = program_of(NODE_PROGRAM)
+    program = next(filter(NODE_PROGRAM.search, sys.orig_argv[1:4]), "")
     if not program:
         return
     handle_ending_signals(lambda *_: os._exit(0))
@@ -74,18 +72,13 @@ def guard_command() -> None:
         signal.signal(signal.SIGINT, interrupt_command)
 
 
-def program_of(pattern: re.Pattern[str]) -> str:
-    """Return the argument of the interpreter that names its program; empty: it is another one."""
-    return next(filter(pattern.search, sys.orig_argv[1:4]), "")
-
-
 def interrupt_command(_: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt inside `main`; before it, exit."""
     outer = frame
     while outer and outer.f_code.co_name != "main":
         outer = outer.f_back
     if outer is None:
-        os._exit(INTERRUPTED)
+        os._exit(AFTER_SIGINT)
     interrupt(frame)
 
 
@@ -102,7 +95,7 @@ def report_in_one_line(kind: type[BaseException], error: BaseException, trace: A
 def report_of_command(kind: type[BaseException], error: BaseException, trace: Any) -> None:
     """Print an exception that ends a command; an interruption ends it silently."""
     if issubclass(kind, KeyboardInterrupt):
-        raise SystemExit(INTERRUPTED)
+        raise SystemExit(AFTER_SIGINT)
     end_without_package(error)
     sys.__excepthook__(kind, error, trace)
 

@@ -17,7 +17,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import shipped
 from ampc_msgs_config.nodes.marker_node import MarkerNode
 from ampc_msgs_config.nodes.qos import NEWEST
-from ampc_msgs_config.nodes.waiting import PATIENCE, STOPPED, WaitLog
+from ampc_msgs_config.nodes.waiting import WAIT_PATIENCE, SILENCE_OF_STOPPED, WaitLog
 from ampc_msgs_config.types import VehicleState
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode
@@ -88,7 +88,7 @@ def test_a_reason_is_logged_once_after_five_seconds_and_again_when_it_changes(
     reasons.append("/odom: /car has stopped publishing")
     assert look_for(4) == []
     assert look_for(4) == ["waiting for /odom: /car has stopped publishing"]
-    assert PATIENCE == 5.0
+    assert WAIT_PATIENCE == 5.0
 
 
 def test_a_short_wait_is_not_logged_and_a_missing_recorder_is(clock: list[float]) -> None:
@@ -157,8 +157,10 @@ def test_a_publisher_that_is_silent_stops_or_is_rejected_is_named() -> None:
         # a car that falls silent; the path may be old
         paths.publish(ros.path_message(STRAIGHT, node.now_ns))
         spin_until(executor, lambda: is_driving_and(""))
-        node.inputs.topics[ros.ODOM].arrived_at = time.monotonic() - 2.0 * STOPPED
-        node.inputs.topics[ros.REFERENCE_PATH].arrived_at = time.monotonic() - 2.0 * STOPPED
+        node.inputs.topics[ros.ODOM].arrived_at = time.monotonic() - 2.0 * SILENCE_OF_STOPPED
+        node.inputs.topics[ros.REFERENCE_PATH].arrived_at = (
+            time.monotonic() - 2.0 * SILENCE_OF_STOPPED
+        )
         assert node.waits_for() == "/odom: /car has stopped publishing"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ampc_msgs_config.startup import INTERRUPTED, MISSING_PACKAGE, missing_package
+from ampc_msgs_config.startup import AFTER_SIGINT, MISSING_PACKAGE, missing_package
 from launch_scripts.bootstrap import QUIET_START
 from tests.entry_points import EXECUTABLES
 
@@ -134,7 +134,7 @@ def test_an_interruption_while_a_command_is_imported_leaves_no_traceback(
     file = ROOT / "launch_scripts" / f"{name}.py"
     program = executable(tmp_path, name) if name in EXECUTABLES else file
     done = run_without(tmp_path, program, "numpy", "rich", action=INTERRUPT)
-    assert (done.returncode, done.stderr) == (INTERRUPTED, "")
+    assert (done.returncode, done.stderr) == (AFTER_SIGINT, "")
 
 
 def test_an_interruption_inside_a_command_raises_as_ever(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_an_interruption_inside_a_command_raises_as_ever(tmp_path: Path) -> None
         "main()\n"
     )
     done = run_without(tmp_path, program)
-    assert (done.returncode, done.stdout, done.stderr) == (INTERRUPTED, "cleaned up\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (AFTER_SIGINT, "cleaned up\n", "")
 
 
 @pytest.mark.parametrize(

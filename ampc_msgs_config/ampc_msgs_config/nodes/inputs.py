@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from ampc_msgs_config.nodes.qos import profile_text
-from ampc_msgs_config.nodes.waiting import STOPPED, is_incompatible, why_silent
+from ampc_msgs_config.nodes.waiting import SILENCE_OF_STOPPED, is_incompatible, why_silent
 
 REMEMBERED = 16
 """Messages that are remembered where several subscriptions receive the same topic."""
@@ -122,7 +122,7 @@ class Input:
             is_periodic: Whether a message that stays away is missing, too.
         """
         silence = 0.0 if self.arrived_at is None else time.monotonic() - self.arrived_at
-        if is_used and not (is_periodic and silence > STOPPED):
+        if is_used and not (is_periodic and silence > SILENCE_OF_STOPPED):
             return ""
         return why_silent(self.node, self.subscriptions, self.arrived_at)
 

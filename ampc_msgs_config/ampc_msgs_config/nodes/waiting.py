@@ -10,18 +10,20 @@ from rclpy.subscription import Subscription
 
 from ampc_msgs_config.nodes.qos import profile_text
 
-PATIENCE = 5.0
+WAIT_PATIENCE = 5.0
 """Wall time of waiting after which the reason is logged [s]."""
 LOOK_PERIOD = 1.0
 """Wall time between two looks [s]."""
-STOPPED = 2.0
+SILENCE_OF_STOPPED = 2.0
 """Silence after which an input has stopped [s]."""
 
 
 class WaitLog:
     """Logs once what a node waits for, again when the reason changes, and the end of the wait."""
 
-    def __init__(self, node: Node, reason: Callable[[], str], patience: float = PATIENCE) -> None:
+    def __init__(
+        self, node: Node, reason: Callable[[], str], patience: float = WAIT_PATIENCE
+    ) -> None:
         """Start to look once a second, on the clock that no other clock can stop.
 
         Args:
@@ -74,7 +76,7 @@ def why_silent(
         return f"{topic}: {names} offers {profile_text(offered[0])}, but this node requests {texts}"
     if arrived_at is None:
         return f"{topic}: {names} publishes nothing"
-    if time.monotonic() - arrived_at > STOPPED:
+    if time.monotonic() - arrived_at > SILENCE_OF_STOPPED:
         return f"{topic}: {names} has stopped publishing"
     return f"{topic}: the messages of {names} are rejected, for the reason in /diagnostics"
 
