@@ -6,7 +6,7 @@
 import sys
 
 try:
-    from ampc_msgs_config.startup import guard_command
+    from ampc_msgs_config.signals import guard_command
 except ModuleNotFoundError:
     print(
         f"error: {sys.executable} does not find the packages of this workspace: "

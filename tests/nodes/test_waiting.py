@@ -17,7 +17,7 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import shipped
 from ampc_msgs_config.nodes.marker_node import MarkerNode
 from ampc_msgs_config.nodes.qos import NEWEST
-from ampc_msgs_config.nodes.waiting import WAIT_PATIENCE, SILENCE_OF_STOPPED, WaitLog
+from ampc_msgs_config.nodes.waiting import SILENCE_OF_STOPPED, WAIT_PATIENCE, WaitLog
 from ampc_msgs_config.types import VehicleState
 from ampc_ros.configuration import CONTROLLERS
 from ampc_ros.nodes.controller_node import ControllerNode

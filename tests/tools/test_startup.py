@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ampc_msgs_config.startup import AFTER_SIGINT, MISSING_PACKAGE, missing_package
+from ampc_msgs_config.signals import AFTER_SIGINT, MISSING_PACKAGE, missing_package
 from launch_scripts.bootstrap import QUIET_START
 from tests.entry_points import EXECUTABLES
 
@@ -141,7 +141,7 @@ def test_an_interruption_inside_a_command_raises_as_ever(tmp_path: Path) -> None
     program = tmp_path / "command.py"
     program.write_text(
         "import os, signal\n"
-        "from ampc_msgs_config.startup import guard_command\n"
+        "from ampc_msgs_config.signals import guard_command\n"
         "guard_command()\n"
         "def main():\n"
         "    try:\n"
@@ -176,7 +176,7 @@ def test_an_interruption_before_the_first_import_ends_a_node_silently(
 def test_an_error_of_the_code_keeps_its_traceback(tmp_path: Path) -> None:
     program = tmp_path / "command.py"
     program.write_text(
-        "from ampc_msgs_config.startup import guard_command\nguard_command()\n{}['a fault']\n"
+        "from ampc_msgs_config.signals import guard_command\nguard_command()\n{}['a fault']\n"
     )
     done = run_without(tmp_path, program)
     assert done.returncode == 1

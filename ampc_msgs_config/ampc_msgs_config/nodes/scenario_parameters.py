@@ -10,7 +10,7 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.vehicle_file import load_section
 
 CSV = "a CSV file of x_m,y_m[,v_mps] or t_s,x_m,y_m; empty: none"
-COLUMNS = "numbers such as x=3,y=4; empty: by the header"
+COLUMN_NUMBERS = "numbers such as x=3,y=4; empty: by the header"
 
 
 def declare_scenario(node: Node) -> Scenario:
@@ -33,7 +33,7 @@ def declare_scenario(node: Node) -> Scenario:
             (-1, 20),
         ),
         declare(node, "laps", default.laps, "of a CSV's closed path", (1, 1000)),
-        declare(node, "columns", default.columns, "columns of the CSV", COLUMNS),
+        declare(node, "columns", default.columns, "columns of the CSV", COLUMN_NUMBERS),
     )
     size = load_section(SizeParameters, find("vehicles", vehicle), "size", f"the {node.get_name()}")
     scenario = choose_scenario(route, size)

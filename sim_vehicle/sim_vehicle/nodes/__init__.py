@@ -1,5 +1,5 @@
 """Simulator node."""
 
-from ampc_msgs_config.startup import end_while_importing
+from ampc_msgs_config.signals import end_while_importing
 
 end_while_importing(__file__)
