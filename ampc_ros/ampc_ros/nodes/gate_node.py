@@ -99,7 +99,7 @@ class GateNode(BaseNode):
         self.output: str = declare(self, "output", OUTPUT, text, list(OUTPUTS))
         text = "type of steering_report, which is published as steering_state"
         feedback = declare(self, "feedback", NO_FEEDBACK, text, FEEDBACK)
-        text = "joints of a JointState whose mean is the angle, joined by commas; empty: its only one"
+        text = "joints of a JointState whose mean is the angle, joined by commas; empty: the only"
         self.feedback = choose_feedback(feedback, declare(self, "feedback_joints", "", text))
         if period <= 0.0:
             period = load(ControllerSettings, settings).sample_time
