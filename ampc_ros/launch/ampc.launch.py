@@ -59,7 +59,8 @@ ARGUMENTS = {
     "follow": ("none", "path of another planner: path, timed_path or autoware; none: our own"),
     "drive_output": (
         "twist_stamped",
-        "type of drive_command: twist, twist_stamped, ackermann, ackermann_stamped, autoware, carla",
+        "type of drive_command: twist, twist_stamped, ackermann, ackermann_stamped, autoware or "
+        "carla",
     ),
     "feedback": (
         "none",

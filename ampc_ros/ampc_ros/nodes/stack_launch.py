@@ -34,8 +34,6 @@ def describe_stack(name: str, folder: Path) -> Any:
                 for key, each in (REAL | arguments).items()
             ),
             *(SetRemap(src=ours, dst=theirs) for ours, theirs in stack.remappings.items()),
-            IncludeLaunchDescription(
-                PythonLaunchDescriptionSource(str(folder / "ampc.launch.py"))
-            ),
+            IncludeLaunchDescription(PythonLaunchDescriptionSource(str(folder / "ampc.launch.py"))),
         ]
     )
