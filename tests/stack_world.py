@@ -10,6 +10,7 @@ import argparse
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -371,7 +372,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed", type=float, default=9.0)
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--overwrite", action="store_true", help="delete an earlier result")
     chosen = parser.parse_args(arguments)
+    if chosen.overwrite and chosen.output.exists():
+        shutil.rmtree(chosen.output)
     rclpy.init()
     world = World(chosen.stack, chosen.vehicle, chosen.speed, chosen.scale)
     road = chosen.output / "line.csv"

@@ -86,7 +86,8 @@ def mean_position(message: JointState, names: Sequence[str]) -> float | None:
     """Return the mean position of the named joints, or that of the only one.
 
     The mean of both front wheels is the angle of the single-track model within 0.6 deg up to 30 deg
-    where the track is at most 0.62 wheelbases. A message without any of the joints is about others: robots publish joints apart.
+    where the track is at most 0.62 wheelbases. A message without any of the joints is about others:
+    robots publish joints apart.
 
     Raises:
         ValueError: Not exactly one position without names, or only some of the joints.
