@@ -61,7 +61,8 @@ def echo(node: Node, name: str) -> dict[str, Any]:
     Raises:
         TimeoutError: Nothing is heard.
     """
-    topic, heard, sent = name.replace("/", "_").lower(), [], filled(name)
+    topic, sent = name.replace("/", "_").lower(), filled(name)
+    heard: list[Any] = []
     publisher = node.create_publisher(message_type(name), topic, 1)
     node.create_subscription(message_type(name), topic, heard.append, 1)
     until = time.monotonic() + PATIENCE

@@ -1,5 +1,6 @@
 """Messages of other stacks, built for the tests, are those of the real packages."""
 
+import importlib.util
 import json
 import shutil
 import subprocess
@@ -10,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ampc_msgs_config.recording.message_types import define
 from tests import message_packages
+from tests.echo_of_messages import filled
 from tests.foreign_messages import PACKAGES, PUBLISHED_HASHES, type_names
 from tests.message_packages import built, environment_with
 
@@ -84,6 +87,22 @@ def test_a_recorder_finds_the_definition_of_a_built_type(foreign_messages: None)
         text = (built(package) / "share" / package / "msg" / f"{message}.msg").read_text()
         assert definition.text.split("\n")[0].split() == text.split("\n")[0].split()
         assert definition.type_hash == PUBLISHED_HASHES.get(name, definition.type_hash)
+
+
+@pytest.mark.parametrize("turn", ["first", "second"])
+def test_messages_work_in_this_process_also_after_another_test(
+    turn: str, foreign_messages: None, store: Typestore
+) -> None:
+    name = "autoware_planning_msgs/msg/Trajectory"
+    message = filled(name)
+    numbers: Any = store.deserialize_cdr(serialize_message(message), name)
+    assert [p.longitudinal_velocity_mps for p in numbers.points] == [
+        p.longitudinal_velocity_mps for p in message.points
+    ]
+
+
+def test_no_package_is_left_in_this_process() -> None:
+    assert not [name for name in PACKAGES if importlib.util.find_spec(name)]
 
 
 def test_a_child_process_imports_only_the_packages_that_it_is_given(
