@@ -3,6 +3,12 @@
 A package is one folder with a Python package, its `.msg` files and one shared library, which holds
 all that rclpy and rmw_fastrtps_cpp need. The folder is built on first use below build/, under a
 lock, and used again as long as texts, generators and this file stay the same.
+
+A test that needs a package in child processes passes `environment_with(["ackermann_msgs"])` to them;
+one that imports it uses the fixture `foreign_messages`.
+
+rosidl_typesupport_c opens the libraries of the two type supports by name, which finds them outside
+LD_LIBRARY_PATH if they are loaded already. Therefore the extension module depends on both names.
 """
 
 import fcntl
@@ -28,6 +34,7 @@ from rosidl_generator_c.cli import GenerateC
 from rosidl_generator_py.cli import GeneratePython
 from rosidl_typesupport_c.cli import GenerateCTypesupport
 from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
 from launch_scripts.run.processes import ros_environment
 from tests.foreign_messages import PACKAGES
@@ -42,12 +49,17 @@ RUNTIME = (
     "rosidl_typesupport_c",
     "rosidl_typesupport_fastrtps_c",
     "rosidl_typesupport_fastrtps_cpp",
+    "rosidl_typesupport_introspection_c",
     "rcutils",
     "fastcdr",
 )
 """Libraries that generated code uses."""
-PARTS = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_fastrtps_c")
+SUPPORTS = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
+"""Type supports that rmw_fastrtps_cpp uses: for the bytes, and for the type objects of DDS."""
+PARTS = ("rosidl_generator_c", "rosidl_generator_py", *SUPPORTS)
 """Libraries of each dependency that generated code uses."""
+FOLDERS = ("share", "code", "introspection", "python")
+"""Folders of a built package; those of C code are apart, because two generators write one name."""
 
 
 def environment_with(packages: Iterable[str]) -> dict[str, str]:
@@ -103,10 +115,9 @@ def built(package: str) -> Path:
 
 def digest(texts: Mapping[str, str]) -> str:
     """Return a digest of all that a build depends on: texts, generators, Python, this file."""
-    generators = (name for name in (*RUNTIME, *PARTS, *DEPENDENCIES) if name not in ("fastcdr",))
     inputs = [
         repr(sorted(texts.items())),
-        *(version(name) for name in (*generators, "numpy")),
+        *(version(name) for name in (*RUNTIME, *PARTS, *DEPENDENCIES, "rosidl_adapter", "numpy")),
         str(sysconfig.get_config_var("EXT_SUFFIX")),
         Path(__file__).read_text(encoding="utf-8"),
     ]
@@ -152,8 +163,8 @@ def check_tools() -> None:
 
 
 def generate(package: str, messages: list[str], folder: Path) -> None:
-    """Generate the sources of a package into `code`, and its Python modules into `python`."""
-    share, code, python = (folder / part / package for part in ("share", "code", "python"))
+    """Generate the sources of a package: C in two folders, Python modules in `python`."""
+    share, code, introspection, python = (folder / part / package for part in FOLDERS)
     include = [str(ROS / "share" / name) for name in DEPENDENCIES]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AMENT_PREFIX_PATH", str(ROS))  # the generators look for their templates
@@ -164,40 +175,60 @@ def generate(package: str, messages: list[str], folder: Path) -> None:
             output_format="idl",
             output_path=share,
         )
-        only = ["rosidl_typesupport_fastrtps_c"]  # one type support: called without a search
-        GenerateC("c").generate(package, files, include, code)
-        GenerateFastRTPSCTypesupport("fastrtps_c").generate(package, files, include, code)
-        GenerateCTypesupport("c", typesupport_implementations=only).generate(
-            package, files, include, code
-        )
-        (python / "msg").mkdir(parents=True)
-        GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"]).generate(
-            package, files, include, python
-        )
+        for generator, output in (
+            (GenerateC("c"), code),
+            (GenerateFastRTPSCTypesupport("fastrtps_c"), code),
+            (GenerateIntrospectionCTypesupport("introspection_c"), introspection),
+            (GenerateCTypesupport("c", typesupport_implementations=SUPPORTS), code),
+            (GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"]), python),
+        ):
+            (output / "msg").mkdir(parents=True, exist_ok=True)
+            generator.generate(package, files, include, output)
     (python / "__init__.py").touch()
 
 
 def compile_library(package: str, folder: Path) -> None:
-    """Compile all sources of a package into the extension module that rclpy imports.
+    """Compile all sources of a package into one library, the extension module that rclpy imports.
 
     Raises:
         RuntimeError: The compiler reports an error.
     """
-    code, python = folder / "code", folder / "python" / package
+    _, code, introspection, python = (folder / part / package for part in FOLDERS)
     together = code / "all.cpp"  # the headers of the middleware are read once
     together.write_text("".join(f'#include "{file}"\n' for file in sorted(code.rglob("*.cpp"))))
-    headers = [code, ROS / "include", *(ROS / "include").iterdir()]
+    sources = [
+        together,
+        *(file for each in (code, introspection, python) for file in each.rglob("*.c")),
+    ]
+    headers = [code.parent, introspection.parent, ROS / "include", *(ROS / "include").iterdir()]
     headers += [Path(sysconfig.get_path("include")), Path(numpy.get_include())]
-    libraries = [*RUNTIME, *(f"{name}__{part}" for name in DEPENDENCIES for part in PARTS)]
+    used = [*RUNTIME, *(f"{name}__{part}" for name in DEPENDENCIES for part in PARTS), "stdc++"]
+    first, second = (python / f"lib{package}__{support}.so" for support in SUPPORTS)
+    extension = python / f"{package}_s__rosidl_typesupport_c.so"
+    options = ["-O0", "-w", *(f"-I{path}" for path in headers), f"-L{ROS / 'lib'}"]
+    options += [f"-Wl,-rpath,{ROS / 'lib'}", "-Wl,--as-needed", *(f"-l{name}" for name in used)]
+    link(first, sources, options)
+    link(second, [first])
+    link(extension, [first, second])
+
+
+def link(library: Path, inputs: list[Path], options: Iterable[str] = ()) -> None:
+    """Compile or link a shared library that finds others in its own folder.
+
+    Raises:
+        RuntimeError: The compiler reports an error.
+    """
+    output = ["-o", str(library), f"-Wl,-soname,{library.name}", "-Wl,-rpath,$ORIGIN"]
     command = [
-        *("gcc", "-shared", "-fPIC", "-O0", "-w"),
-        *(f"-I{path}" for path in headers),
-        *map(str, [*sorted(code.rglob("*.c")), *sorted(python.rglob("*.c")), together]),
-        *(f"-L{ROS / 'lib'}", f"-Wl,-rpath,{ROS / 'lib'}", "-Wl,--as-needed"),
-        *(f"-l{name}" for name in libraries),
-        *("-lstdc++", "-o", str(python / f"{package}_s__rosidl_typesupport_c.so")),
+        "gcc",
+        "-shared",
+        "-fPIC",
+        "-Wl,--no-as-needed",
+        *map(str, inputs),
+        *options,
+        *output,
     ]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode:
         errors = [line for line in result.stderr.splitlines() if "error" in line or "ld:" in line]
-        raise RuntimeError(f"{package} cannot be compiled: {(errors or ['no message'])[0]}")
+        raise RuntimeError(f"{library.name} cannot be compiled: {(errors or ['no message'])[0]}")
