@@ -4,8 +4,8 @@ A package is one folder with a Python package, its `.msg` files and one shared l
 all that rclpy and rmw_fastrtps_cpp need. The folder is built on first use below build/, under a
 lock, and used again as long as texts, generators and this file stay the same.
 
-A test that needs a package in child processes passes `environment_with(["ackermann_msgs"])` to them;
-one that imports it uses the fixture `foreign_messages`.
+A test that needs a package in child processes passes `environment_with(["ackermann_msgs"])` to
+them; one that imports it uses the fixture `foreign_messages`.
 
 rosidl_typesupport_c opens the libraries of the two type supports by name, which finds them outside
 LD_LIBRARY_PATH if they are loaded already. Therefore the extension module depends on both names.

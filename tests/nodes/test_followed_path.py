@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.paths.path_file import SpeedLimits
@@ -60,7 +61,7 @@ def path_of(points: Array, seconds: Any = None) -> bytes:
     """Return a serialised path, with arrival times [s] as the stamps of its poses."""
     message = ros.path_message(points, 5 * NANOSECONDS)
     for pose, at in zip(message.poses, [] if seconds is None else seconds, strict=False):
-        pose.header.stamp = ros.time_message(round(at * NANOSECONDS))
+        pose.header = Header(stamp=ros.time_message(round(at * NANOSECONDS)), frame_id="map")
     return bytes(serialize_message(message))
 
 

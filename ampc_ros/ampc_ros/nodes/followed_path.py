@@ -232,8 +232,8 @@ def with_speeds(data: bytes, kind: str) -> tuple[Array, dict[str, Array]]:
     for i in range(1, len(times)):
         if times[i] <= times[i - 1] and (points[i] != points[i - 1]).any():
             raise ValueError(
-                f"reference_path: poses[{i}].header.stamp = {times[i] / NANOSECONDS:.9g} s must be "
-                f"later than {times[i - 1] / NANOSECONDS:.9g} s before it: it is the arrival time"
+                f"reference_path: poses[{i}].header.stamp = {times[i] / NANOSECONDS:.3f} s must be "
+                f"later than {times[i - 1] / NANOSECONDS:.3f} s before it: it is the arrival time"
             )
     seconds = (np.array(times, dtype=np.int64) - (times[0] if times else 0)) / NANOSECONDS
     return points, {"t": seconds}
