@@ -13,7 +13,7 @@ LD_LIBRARY_PATH if they are loaded already. Therefore the extension module depen
 
 import fcntl
 import hashlib
-import importlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -28,13 +28,12 @@ from textwrap import dedent
 
 import numpy
 import pytest
-import rclpy
 
 from launch_scripts.run.processes import ros_environment
 from tests.foreign_messages import PACKAGES
 
 CACHE = Path(__file__).resolve().parents[1] / "build" / "message_packages"
-ROS = Path(rclpy.__file__).parents[4]
+ROS = Path(importlib.util.find_spec("rclpy").origin).parents[4]  # type: ignore[union-attr, arg-type]
 """Prefix of the ROS installation: .venv, or /opt/ros/jazzy."""
 DEPENDENCIES = ("builtin_interfaces", "std_msgs", "geometry_msgs")
 """Installed packages whose messages may be inside ours."""
