@@ -1,7 +1,6 @@
 """Fixtures and markers of all tests: ROS domains, and a check that no process is left."""
 
 import os
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -13,6 +12,7 @@ from hypothesis.internal.conjecture import providers
 
 from launch_scripts.run.processes import ros_environment
 from tests import message_packages
+from tests.default_signals import restore_signals
 from tests.foreign_messages import PACKAGES
 from tests.left_processes import kill_processes, parent_of, processes_with
 from tests.markers import markers_of
@@ -29,12 +29,8 @@ providers.is_local_module_file = lambda _: False  # type: ignore[assignment, att
 
 
 def pytest_configure() -> None:
-    """Let signals end the processes of the tests, also where these were started with `nohup`."""
-    for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM):
-        if signal.getsignal(number) is signal.SIG_IGN:
-            signal.signal(number, signal.SIG_DFL)
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let signals end the processes of the tests."""
+    restore_signals()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
