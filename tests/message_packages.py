@@ -4,8 +4,8 @@ A package is one folder with a Python package, its `.msg` files and one shared l
 all that rclpy and rmw_fastrtps_cpp need. The folder is built on first use below build/, under a
 lock, and used again as long as texts, generators and this file stay the same.
 
-A test that needs a package in child processes passes `environment_with(["ackermann_msgs"])` to
-them; one that imports it uses the fixture `foreign_messages`.
+A test that needs a package in child processes starts them with `environment_with(["carla_msgs"])`;
+one that imports packages uses the fixture `foreign_messages`.
 
 rosidl_typesupport_c opens the libraries of the two type supports by name, which finds them outside
 LD_LIBRARY_PATH if they are loaded already. Therefore the extension module depends on both names.
@@ -13,7 +13,7 @@ LD_LIBRARY_PATH if they are loaded already. Therefore the extension module depen
 
 import fcntl
 import hashlib
-import importlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -28,19 +28,12 @@ from textwrap import dedent
 
 import numpy
 import pytest
-import rosidl_generator_py
-from rosidl_cli.command.translate.api import translate
-from rosidl_generator_c.cli import GenerateC
-from rosidl_generator_py.cli import GeneratePython
-from rosidl_typesupport_c.cli import GenerateCTypesupport
-from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
-from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
 from launch_scripts.run.processes import ros_environment
 from tests.foreign_messages import PACKAGES
 
 CACHE = Path(__file__).resolve().parents[1] / "build" / "message_packages"
-ROS = Path(rosidl_generator_py.__file__).parents[4]
+ROS = Path(importlib.util.find_spec("rclpy").origin).parents[4]  # type: ignore[union-attr, arg-type]
 """Prefix of the ROS installation: .venv, or /opt/ros/jazzy."""
 DEPENDENCIES = ("builtin_interfaces", "std_msgs", "geometry_msgs")
 """Installed packages whose messages may be inside ours."""
@@ -164,6 +157,14 @@ def check_tools() -> None:
 
 def generate(package: str, messages: list[str], folder: Path) -> None:
     """Generate the sources of a package: C in two folders, Python modules in `python`."""
+    # Imported here: the tests of a session that builds nothing need no parser.
+    from rosidl_cli.command.translate.api import translate
+    from rosidl_generator_c.cli import GenerateC
+    from rosidl_generator_py.cli import GeneratePython
+    from rosidl_typesupport_c.cli import GenerateCTypesupport
+    from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+    from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
+
     share, code, introspection, python = (folder / part / package for part in FOLDERS)
     include = [str(ROS / "share" / name) for name in DEPENDENCIES]
     with pytest.MonkeyPatch.context() as patch:
