@@ -1,13 +1,11 @@
 """Stacks: their files, their launch files, and drives over ROS with their own messages."""
 
 import importlib.util
-import json
 import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
@@ -20,16 +18,14 @@ from ampc_ros.nodes.drive_messages import OUTPUTS
 from ampc_ros.nodes.gate_node import GateNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from ampc_ros.nodes.stack_launch import REAL, RENAMED
-from launch_scripts import connect, replay
-from tests.message_packages import PACKAGES, environment_with, importable
+from launch_scripts import connect
+from tests.message_packages import PACKAGES, importable
 from tests.ros_nodes import ros_context
 from tests.waiting import TIMEOUT, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH = ROOT / "ampc_ros" / "launch"
 STACKS = tuple(shipped("stacks"))
-LARGEST_ERROR = 0.10
-"""On a lane change [m]; a loaded machine answers some states late."""
 
 
 @pytest.mark.parametrize("name", STACKS)
@@ -99,28 +95,6 @@ def test_every_stack_has_a_launch_file_with_its_arguments_as_defaults(
 def test_no_launch_file_is_left_without_a_stack() -> None:
     files = {file.name for file in LAUNCH.glob("with_*")}
     assert files == {f"with_{name}.launch.py" for name in STACKS}
-
-
-@pytest.mark.usefixtures("own_domain")
-@pytest.mark.parametrize(
-    ("stack", "vehicle", "speed", "scale"),
-    [("autoware", "autoware_sample", 9.0, 1.0), ("f1tenth", "f1tenth", 2.0, 0.1)],
-)
-def test_a_lane_change_is_driven_with_the_messages_of_a_stack_and_replayed(
-    stack: str, vehicle: str, speed: float, scale: float, tmp_path: Path
-) -> None:
-    environment = environment_with(PACKAGES)
-    words = [sys.executable, "-m", "tests.stack_world", stack, "--vehicle", vehicle]
-    words += ["--speed", str(speed), "--scale", str(scale), "--output", str(tmp_path / "run")]
-    done = subprocess.run(
-        words, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=4 * TIMEOUT
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    assert result["distance"] >= 130.0 * scale
-    assert result["largest_error"] <= LARGEST_ERROR * scale**0.5
-    assert result["largest_speed"] == pytest.approx(speed, rel=0.1)
-    assert replay.main([str(tmp_path / "run" / "bag")]) == 0
 
 
 def ended(*arguments: str) -> tuple[int, str]:

@@ -1,7 +1,7 @@
 """Drive a lane change over ROS with each stack's own messages, and with ours, and compare.
 
 `python -m tests.workshop.acceptance.stacks [--only nav2] [--update PAGE]` drives every case of
-CASES with `tests.stack_world`, replays its recording, and writes a table. Exit code 0: no largest
+CASES with `tests.workshop.acceptance.stack_world`, replays its recording, and writes a table. Exit code 0: no largest
 error is above RATIO times that with our own types, and every recording replays bit for bit.
 """
 
@@ -81,7 +81,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def drive(case: Case, output: Path, environment: dict[str, str]) -> dict[str, Any]:
     """Drive a case, replay its bag, and return the result."""
     folder = output / "_".join(map(str, case))
-    words = [sys.executable, "-m", "tests.stack_world", case.stack, "--vehicle", case.vehicle]
+    words = [
+        sys.executable,
+        "-m",
+        "tests.workshop.acceptance.stack_world",
+        case.stack,
+        "--vehicle",
+        case.vehicle,
+    ]
     words += ["--speed", str(case.speed), "--scale", str(case.scale), "--output", str(folder)]
     words += ["--overwrite"]
     done = subprocess.run(

@@ -1,6 +1,6 @@
 """A small stand-in for another stack: a car that obeys its message, and a planner like its own.
 
-`python -m tests.stack_world nav2 --vehicle ordinary --speed 9 --output DIR` starts `connect.py`,
+`python -m tests.workshop.acceptance.stack_world nav2 --vehicle ordinary --speed 9 --output DIR` starts `connect.py`,
 drives a lane change with the car of our simulator, and prints a JSON object: largest error of the
 true centre of gravity [m], distance driven [m], largest speed [m/s]. Time is simulated: it stands
 still while the machine has no time for the nodes. The world `own` has our own types and planner.
