@@ -20,7 +20,12 @@ from rich.text import Text
 
 from ampc_msgs_config import config
 from ampc_msgs_config.stack_file import Stack, load_stack
-from launch_scripts.run.processes import Processes, ros_environment
+from launch_scripts.run.processes import (
+    NODE_DIED,
+    WRONG_SET_UP,
+    Processes,
+    ros_environment,
+)
 
 NODES = {
     "planner": "ampc_ros.nodes.planner_node",
@@ -30,8 +35,6 @@ NODES = {
 """Nodes that every stack starts, and their modules."""
 PERIOD = 0.2
 """Wall time between two looks at the nodes [s]."""
-NODE_DIED, WRONG_SET_UP = 1, 2
-"""Exit codes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stack = choose_stack(options)
         console.print(f"{options.stack}: {stack.about}", markup=False)
         with Processes(options.log) as nodes:
-            start_nodes(nodes, stack, options)
+            start_stack(nodes, stack, options)
             return watch(nodes, ended, console)
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
@@ -118,7 +121,7 @@ def parsed(name: str, value: str) -> Any:
     return content
 
 
-def start_nodes(nodes: Processes, stack: Stack, options: argparse.Namespace) -> None:
+def start_stack(nodes: Processes, stack: Stack, options: argparse.Namespace) -> None:
     """Start recorder, planner, controller and gate."""
     namespace = {"__ns": f"/{options.namespace.strip('/')}"} if options.namespace else {}
     renamed = stack.remappings | namespace

@@ -7,7 +7,7 @@ from typing import Annotated
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.validation import Checked, described
 
-Value = bool | int | float | str
+Scalar = bool | int | float | str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +16,7 @@ class Stack(Checked):
 
     about: Annotated[str, described("What the stack is, in one line.")]
     parameters: Annotated[
-        dict[str, Value], described("Parameters of controller, planner and gate, by name.")
+        dict[str, Scalar], described("Parameters of controller, planner and gate, by name.")
     ]
     remappings: Annotated[
         dict[str, str], described("Topic of the stack by the topic of this project.")
@@ -32,7 +32,7 @@ def load_stack(name: str) -> Stack:
     return load(Stack, find("stacks", name))
 
 
-def as_text(parameters: Mapping[str, Value]) -> dict[str, str]:
+def as_text(parameters: Mapping[str, Scalar]) -> dict[str, str]:
     """Return parameters as the text of launch arguments."""
     return {
         name: str(value).lower() if isinstance(value, bool) else str(value)

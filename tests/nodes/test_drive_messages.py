@@ -79,7 +79,7 @@ def test_autoware_receives_angle_rate_speed_and_an_acceleration_towards_it() -> 
     fill(message, COMMAND._replace(speed=0.0, measured_speed=0.0))
     assert message.longitudinal.acceleration < 0.0, "the car is held"
     fill(message, COMMAND._replace(measured_speed=0.0))
-    assert message.longitudinal.acceleration == drive_messages.MOST_ACCELERATION
+    assert message.longitudinal.acceleration == drive_messages.LARGEST_ACCELERATION
 
 
 @given(angle=st.floats(-1.5, 1.5), speed=st.floats(0.0, 40.0), measured=st.floats(-5.0, 60.0))

@@ -19,7 +19,8 @@ from ampc_ros.nodes.gate_node import GateNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from ampc_ros.nodes.stack_launch import REAL, RENAMED
 from launch_scripts import connect
-from tests.message_packages import PACKAGES, importable
+from tests.foreign_messages import PACKAGES
+from tests.message_packages import importable
 from tests.ros_nodes import ros_context
 from tests.waiting import TIMEOUT, wait_for
 
@@ -40,10 +41,10 @@ def test_the_nodes_have_every_parameter_of_a_stack_and_take_its_value(name: str)
     with importable(PACKAGES), ros_context(**parameters):
         for make_node in (ControllerNode, PlannerNode, GateNode):
             node = make_node()
-            declared = node.get_parameters_by_prefix("")
-            known |= declared.keys()
-            for key in declared.keys() & stack.parameters.keys():
-                assert declared[key].value == stack.parameters[key]
+            declared = node.get_parameters_by_prefix("").keys()
+            known |= declared
+            for key in declared & stack.parameters.keys():
+                assert node.get_parameter(key).value == stack.parameters[key]
             node.destroy_node()
     assert stack.parameters.keys() <= known
 
@@ -74,9 +75,9 @@ def test_every_stack_has_a_launch_file_with_its_arguments_as_defaults(
     spec = importlib.util.spec_from_file_location("with_stack", LAUNCH / f"with_{name}.launch.py")
     assert spec
     assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.generate_launch_description()
+    file = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(file)
+    file.generate_launch_description()
     stack = load_stack(name)
     declared = {
         call.args[0]: call.kwargs["default_value"]

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from builtin_interfaces.msg import Time
 
 from ampc_msgs_config import topics
-from ampc_ros.nodes.message_packages import message_class
+from ampc_ros.nodes.message_packages import import_message
 
 SPEED_TIME = 0.5
 """Time constant with which a commanded acceleration approaches the commanded speed [s]."""
-MOST_ACCELERATION = 3.0
+LARGEST_ACCELERATION = 3.0
 """Largest commanded acceleration [m/s^2]."""
 HOLD_DECELERATION = 1.0
 """Deceleration that is commanded while the car stands and is to stand [m/s^2]."""
@@ -54,7 +54,7 @@ class DriveCommand(NamedTuple):
         if self.speed < STANDING and abs(self.measured_speed) < STANDING:
             return -HOLD_DECELERATION
         wanted = (self.speed - self.measured_speed) / SPEED_TIME
-        return min(max(wanted, -self.deceleration), MOST_ACCELERATION)
+        return min(max(wanted, -self.deceleration), LARGEST_ACCELERATION)
 
 
 def fill_twist(message: Any, command: DriveCommand) -> None:
@@ -154,5 +154,5 @@ def load_output(name: str) -> tuple[Any, Callable[[Any, DriveCommand], None]]:
         ValueError: The package of the message is missing.
     """
     chosen = OUTPUTS[name]
-    kind = message_class(chosen.package, chosen.name, f"output = {name}")
+    kind = import_message(chosen.package, chosen.name, f"output = {name}")
     return kind, chosen.make_fill()

@@ -23,7 +23,7 @@ from ampc_msgs_config.scenarios.scenario import PathWithSpeed
 from ampc_msgs_config.types import NANOSECONDS, Array
 from ampc_ros.nodes.background import NICENESS, Background
 from ampc_ros.nodes.fixed_frame import FixedFrame
-from ampc_ros.nodes.message_packages import message_class
+from ampc_ros.nodes.message_packages import import_message
 from ampc_ros.nodes.received_path import Shift, points_of, prepare
 
 NO_ROUTE = "none"
@@ -31,7 +31,7 @@ NO_ROUTE = "none"
 AUTOWARE = "autoware"
 FOLLOW = [NO_ROUTE, "path", "timed_path", AUTOWARE]
 """Values of the parameter `follow`."""
-MOST_POINTS = 100_000
+MOST_TIMED_POINTS = 100_000
 """Largest number of points with a speed each."""
 
 
@@ -45,7 +45,7 @@ class FollowedPath(NamedTuple):
     """None also for a message without points."""
 
 
-_newest: Any = None
+_last_built: Any = None
 
 
 def declare_limits(node: BaseNode, kind: str) -> SpeedLimits:
@@ -150,7 +150,7 @@ def trajectory_class() -> Any:
     Raises:
         ValueError: The package is missing.
     """
-    return message_class("autoware_planning_msgs", "Trajectory", f"follow = {AUTOWARE}")
+    return import_message("autoware_planning_msgs", "Trajectory", f"follow = {AUTOWARE}")
 
 
 def header(data: bytes) -> tuple[int, str]:
@@ -181,19 +181,19 @@ def build_route(
     Raises:
         ValueError: Field, value and bound.
     """
-    global _newest
+    global _last_built
     from ampc_msgs_config.paths.path_fitting import make_path
 
     points, columns = with_speeds(bytes(data), kind)
     points = shift.apply(points)
     key = points.tobytes(), *(each.tobytes() for each in columns.values()), limits
-    if _newest == key:
+    if _last_built == key:
         return FollowedPath(None, stamp_ns)
     followed = FollowedPath(points, stamp_ns)
     if len(points):
         path = make_path(points)
         followed = followed._replace(route=with_limits(path, points, columns, limits))
-    _newest = key
+    _last_built = key
     return followed
 
 
@@ -225,8 +225,8 @@ def with_speeds(data: bytes, kind: str) -> tuple[Array, dict[str, Array]]:
     if kind == AUTOWARE:
         return trajectory_points(ros.decode(data, trajectory_class()))
     message = ros.decode(data, PathMessage)
-    if (count := len(message.poses)) > MOST_POINTS:
-        raise ValueError(f"reference_path: {count} poses must be at most {MOST_POINTS}")
+    if (count := len(message.poses)) > MOST_TIMED_POINTS:
+        raise ValueError(f"reference_path: {count} poses must be at most {MOST_TIMED_POINTS}")
     points = np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
     times = [ros.nanoseconds(pose.header.stamp) for pose in message.poses]
     for i in range(1, len(times)):
@@ -245,8 +245,10 @@ def trajectory_points(message: Any) -> tuple[Array, dict[str, Array]]:
     Raises:
         ValueError: A field is not finite, or a speed leads backwards; with index and value.
     """
-    if len(message.points) > MOST_POINTS:
-        raise ValueError(f"trajectory: {len(message.points)} points must be at most {MOST_POINTS}")
+    if len(message.points) > MOST_TIMED_POINTS:
+        raise ValueError(
+            f"trajectory: {len(message.points)} points must be at most {MOST_TIMED_POINTS}"
+        )
     rows = []
     for i, point in enumerate(message.points):
         at, speed = point.pose.position, point.longitudinal_velocity_mps

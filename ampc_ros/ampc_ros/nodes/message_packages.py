@@ -4,7 +4,7 @@ import importlib
 from typing import Any
 
 
-def message_class(package: str, name: str, needed_by: str) -> Any:
+def import_message(package: str, name: str, needed_by: str) -> Any:
     """Return the class of a message.
 
     Args:

@@ -1,5 +1,6 @@
 """Launch description of a stack: what the files `with_<stack>.launch.py` return."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +21,21 @@ def describe_stack(name: str, folder: Path) -> Any:
     Raises:
         ValueError: File, key and value.
     """
-    from launch import LaunchDescription
-    from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
-    from launch.launch_description_sources import PythonLaunchDescriptionSource
-    from launch_ros.actions import SetRemap
-
+    launch, actions = import_module("launch"), import_module("launch.actions")
+    sources = import_module("launch.launch_description_sources")
+    remap = import_module("launch_ros.actions").SetRemap
+    declare = actions.DeclareLaunchArgument
     stack = load_stack(name)
     arguments = {RENAMED.get(key, key): each for key, each in as_text(stack.parameters).items()}
-    return LaunchDescription(
+    return launch.LaunchDescription(
         [
             *(
-                DeclareLaunchArgument(key, default_value=each, description=f"as {name} needs it")
+                declare(key, default_value=each, description=f"as {name} needs it")
                 for key, each in (REAL | arguments).items()
             ),
-            *(SetRemap(src=ours, dst=theirs) for ours, theirs in stack.remappings.items()),
-            IncludeLaunchDescription(PythonLaunchDescriptionSource(str(folder / "ampc.launch.py"))),
+            *(remap(src=ours, dst=theirs) for ours, theirs in stack.remappings.items()),
+            actions.IncludeLaunchDescription(
+                sources.PythonLaunchDescriptionSource(str(folder / "ampc.launch.py"))
+            ),
         ]
     )

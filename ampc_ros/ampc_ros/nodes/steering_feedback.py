@@ -14,7 +14,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros, topics
-from ampc_ros.nodes.message_packages import message_class
+from ampc_ros.nodes.message_packages import import_message
 
 NO_FEEDBACK = "none"
 """The car publishes `steering_state` itself, or measures nothing."""
@@ -78,7 +78,7 @@ def choose_feedback(name: str, joints: str) -> Feedback | None:
         names = [each.strip() for each in joints.split(",") if each.strip()]
         return Feedback(JointState, partial(mean_position, names=names), attrgetter("header.stamp"))
     package, message, angle, stamp = REPORTS[name]
-    kind = message_class(package, message, f"feedback = {name}")
+    kind = import_message(package, message, f"feedback = {name}")
     return Feedback(kind, attrgetter(angle), attrgetter(stamp) if stamp else None)
 
 

@@ -1,8 +1,8 @@
 """A small stand-in for another stack: a car that obeys its message, and a planner like its own.
 
-`python -m tests.workshop.acceptance.stack_world nav2 --vehicle ordinary --speed 9 --output DIR` starts `connect.py`,
-drives a lane change with the car of our simulator, and prints a JSON object: largest error of the
-true centre of gravity [m], distance driven [m], largest speed [m/s]. Time is simulated: it stands
+`python -m tests.workshop.acceptance.stack_world nav2 --vehicle ordinary --output DIR` starts
+`connect.py`, drives a lane change with the car of our simulator, and prints a JSON object: largest
+error of the true centre of gravity [m], distance driven [m], largest speed [m/s]. Time stands
 still while the machine has no time for the nodes. The world `own` has our own types and planner.
 """
 
@@ -25,7 +25,6 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
@@ -36,7 +35,7 @@ from ampc_msgs_config.paths.path import Path as Curve
 from ampc_msgs_config.paths.path_fitting import cached_path
 from ampc_msgs_config.stack_file import load_stack
 from ampc_msgs_config.types import NANOSECONDS, Array
-from ampc_ros.nodes.message_packages import message_class
+from ampc_ros.nodes.message_packages import import_message
 from launch_scripts import connect
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import load_vehicle_file
@@ -54,7 +53,6 @@ RUN_IN, LENGTH = 20.0, 130.0
 """Distance from which errors count, as the car starts from rest; end of the drive [m]."""
 DRIVER_TIME = 0.5
 """Time constant of the simulated driver, which turns CARLA's pull into a target speed [s]."""
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @dataclass
@@ -143,7 +141,7 @@ class World(Node):
 
     def listen(self, package: str, name: str, callback: Callable[[Any], None]) -> None:
         """Subscribe to the complete command of the gate."""
-        kind = message_class(package, name, "the test")
+        kind = import_message(package, name, "the test")
         self.create_subscription(kind, self.topic(topics.DRIVE_COMMAND), callback, 1)
 
     def obey(self, steering: float, speed: float) -> None:
@@ -185,9 +183,9 @@ class World(Node):
 
     def connect_autoware(self) -> tuple[Callable[[], None], Callable[[], None]]:
         """Trajectory from 5 m behind to 100 m ahead at 10 Hz; Control; SteeringReport."""
-        kind = message_class("autoware_planning_msgs", "Trajectory", "the test")
-        point_kind = message_class("autoware_planning_msgs", "TrajectoryPoint", "the test")
-        report_kind = message_class("autoware_vehicle_msgs", "SteeringReport", "the test")
+        kind = import_message("autoware_planning_msgs", "Trajectory", "the test")
+        point_kind = import_message("autoware_planning_msgs", "TrajectoryPoint", "the test")
+        report_kind = import_message("autoware_vehicle_msgs", "SteeringReport", "the test")
         plans = self.create_publisher(kind, self.topic(topics.TRAJECTORY), 1)
         reports = self.create_publisher(report_kind, self.topic(topics.STEERING_REPORT), 1)
 
@@ -224,7 +222,7 @@ class World(Node):
 
     def connect_carla(self) -> tuple[Callable[[], None], Callable[[], None]]:
         """Waypoints, latched; throttle, brake and steering share."""
-        plans = self.create_publisher(PathMessage, self.topic(topics.REFERENCE_PATH), LATCHED)
+        plans = self.create_publisher(PathMessage, self.topic(topics.REFERENCE_PATH), ros.LATCHED)
         sent: list[bool] = []
 
         def on_control(message: Any) -> None:
@@ -251,7 +249,7 @@ class World(Node):
 
     def connect_joints(self, *names: str) -> tuple[Callable[[], None], Callable[[], None]]:
         """Connect a car whose steering joints have these names, left before right."""
-        plans = self.create_publisher(PathMessage, self.topic(topics.REFERENCE_PATH), LATCHED)
+        plans = self.create_publisher(PathMessage, self.topic(topics.REFERENCE_PATH), ros.LATCHED)
         joints = self.create_publisher(JointState, self.topic(topics.STEERING_REPORT), 10)
         self.listen("geometry_msgs", "TwistStamped", lambda message: self.on_twist(message.twist))
         sent: list[bool] = []

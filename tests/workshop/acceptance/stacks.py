@@ -1,8 +1,8 @@
 """Drive a lane change over ROS with each stack's own messages, and with ours, and compare.
 
 `python -m tests.workshop.acceptance.stacks [--only nav2] [--update PAGE]` drives every case of
-CASES with `tests.workshop.acceptance.stack_world`, replays its recording, and writes a table. Exit code 0: no largest
-error is above RATIO times that with our own types, and every recording replays bit for bit.
+CASES, replays its recording, and writes a table. Exit code 0: no largest error is above RATIO times
+that with our own types (medians of three drives), and every recording replays bit for bit.
 """
 
 import argparse
@@ -17,12 +17,15 @@ from rich.console import Console
 
 from launch_scripts import replay
 from launch_scripts.reporting.pages import markdown_table
-from tests.message_packages import PACKAGES, environment_with
+from tests.foreign_messages import PACKAGES
+from tests.message_packages import environment_with
 from tests.workshop.attacks.attack import update
 
 RATIO = 1.2
 """Largest error relative to that with our own planner and types."""
 OWN = "own"
+REPEATED = 3
+"""Number of drives of each case."""
 TIMEOUT = 600.0
 """Wall time of one drive [s]."""
 
@@ -65,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         ours = case._replace(stack=OWN)
         if ours not in own:
-            own[ours] = drive(ours, chosen.output, environment)
-        found = drive(case, chosen.output, environment)
+            own[ours] = median(ours, chosen.output, environment)
+        found = median(case, chosen.output, environment)
         rows.append(row(case, found, own[ours]))
         console.print(f"{', '.join(map(str, rows[-1]))}", markup=False)
     heads = ("stack", "car", "speed [m/s]", "largest error [m]", "with our types [m]", "ratio")
@@ -76,6 +79,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.update:
         update(chosen.update, text)
     return int(any("no" in each or "differs" in each for each in rows))
+
+
+def median(case: Case, output: Path, environment: dict[str, str]) -> dict[str, Any]:
+    """Return the drive of REPEATED whose largest error is the median; one that failed counts."""
+    drives = [drive(case, output, environment) for _ in range(REPEATED)]
+    failed = [each for each in drives if each["replay"] != "equal"]
+    return (failed or sorted(drives, key=lambda each: float(each["largest_error"])))[
+        0 if failed else REPEATED // 2
+    ]
 
 
 def drive(case: Case, output: Path, environment: dict[str, str]) -> dict[str, Any]:
