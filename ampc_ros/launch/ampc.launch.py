@@ -50,6 +50,18 @@ ARGUMENTS = {
     "noise": ("", f"noise of the measurement: {shipped_or_file('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
     "store_estimates": ("true", "start with the car's estimates of the last drive, in real time"),
+    "follow": ("none", "path of another planner: path, timed_path or autoware; none: our own"),
+    "drive_output": (
+        "twist_stamped",
+        "type of drive_command: twist, twist_stamped, ackermann, ackermann_stamped, autoware or "
+        "carla",
+    ),
+    "feedback": (
+        "none",
+        "type of steering_report: joint_state, autoware, ackermann, ackermann_stamped; none: the "
+        "car publishes steering_state, or measures nothing",
+    ),
+    "feedback_joints": ("", "joints of steering_report whose mean is the angle; empty: the only"),
     "lock_step": ("true", "simulated time advances only when every state is answered"),
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
@@ -88,7 +100,7 @@ TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
-GATE = ("vehicle", "guard", "settings")
+GATE = ("vehicle", "guard", "settings", "feedback", "feedback_joints")
 CONTROL = (
     "vehicle",
     "controller",
@@ -189,9 +201,12 @@ def nodes_for(values: dict[str, Any]) -> dict[str, Node]:
         plant = owner | chosen(*ROUTE, *PLANT)
         nodes["simulator"] = node("sim_vehicle", "simulator", plant, renamed)
     if values["planner"]:
-        nodes["planner"] = node("ampc_ros", "planner", mode | chosen(*ROUTE, "fixed_frame"))
+        nodes["planner"] = node(
+            "ampc_ros", "planner", mode | chosen(*ROUTE, "fixed_frame", "follow")
+        )
     if values["gate"]:
-        nodes["gate"] = node("ampc_ros", "gate", mode | chosen(*GATE))
+        passed_on = mode | chosen(*GATE, output=values["drive_output"])
+        nodes["gate"] = node("ampc_ros", "gate", passed_on)
     if values["output"]:
         nodes["recorder"] = node(
             "ampc_msgs_config", "recorder", record, sigterm_timeout=RECORDER_TIMEOUT

@@ -21,6 +21,8 @@ PROFILES = Path(__file__).with_name("fastdds.xml")
 """Settings of the middleware for one computer."""
 COMPLETED = "completed"
 """Reason of a run that the simulator has ended."""
+NODE_DIED, WRONG_SET_UP = 1, 2
+"""Exit codes of the scripts that start nodes; a node with invalid options also ends with 2."""
 LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 

@@ -90,7 +90,7 @@ class Recorder(Node):
             raise ValueError("parameter 'output' must name the folder of the bag")
         items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         further = parse_topics(items)
-        full = self.resolve_topic_name
+        full = partial(self.resolve_topic_name, only_expand=True)  # a bag has the contract's names
         self.arrivals = Arrivals(
             simulated=bool(self.get_parameter("use_sim_time").value),
             clock=full(topics.CLOCK),
@@ -167,7 +167,7 @@ class Recorder(Node):
             OSError: The file cannot be written.
             ValueError: The same, or the file was removed, replaced or truncated.
         """
-        if topics.TF in self.inputs and self.count_publishers(topics.TF):
+        if topics.TF in self.inputs and self.count_publishers(self.resolve_topic_name(topics.TF)):
             self.derives_transforms = False
         self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
         for arrival in self.arrivals.take_undated():

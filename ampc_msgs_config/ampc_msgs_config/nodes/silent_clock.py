@@ -37,7 +37,7 @@ class SilentClock:
             self.newest_ns, self.changed_at, self.is_logged = now_ns, now, False
         if now < self.limit if not now_ns else now - self.changed_at < STOPPED_CLOCK:
             return ""
-        publishers = self.node.count_publishers(CLOCK)
+        publishers = self.node.count_publishers(self.node.resolve_topic_name(CLOCK))
         silent = "has no publisher" if not publishers else "sends nothing"
         silent = f"has stopped at {now_ns / NANOSECONDS:.1f} s" if now_ns else silent
         text = f"{USE_SIM_TIME_NAME} is set but {CLOCK} {silent}: play a bag with --clock 1000"
