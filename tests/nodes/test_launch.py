@@ -28,6 +28,8 @@ OF_LAUNCH = {"lock_step", "static_path", "start_time_out", "use_sim_time"}
 """Where the launch file has defaults of its own: a whole drive is its purpose."""
 OF_THE_LAUNCH_FILE = {"namespace", "simulate", "gate", "planner", "params_file"}
 """Arguments that are no parameters."""
+RENAMED = {("gate", "output"): "drive_output"}
+"""Arguments of other names than the parameter, by node and parameter."""
 
 
 @pytest.fixture
@@ -81,15 +83,18 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
     launch_file: Any,
 ) -> None:
     given = started(launch_file, output="folder")
-    used = set().union(*(parameters(each) for each in given.values())) - {"wait_for_recorder"}
+    used = {
+        RENAMED.get((name, each), each) for name, node in given.items() for each in parameters(node)
+    } - {"wait_for_recorder"}
     assert used | OF_THE_LAUNCH_FILE == launch_file.ARGUMENTS.keys()
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
             add(executor, node)
             for parameter in parameters(given[name]).keys() - {"wait_for_recorder"} - OF_LAUNCH:
-                default, _ = launch_file.ARGUMENTS[parameter]
-                value = launch_file.parsed(parameter, default)
+                argument = RENAMED.get((name, parameter), parameter)
+                default, _ = launch_file.ARGUMENTS[argument]
+                value = launch_file.parsed(argument, default)
                 assert node.get_parameter(parameter).value == value
 
 
