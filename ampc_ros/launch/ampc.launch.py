@@ -103,7 +103,7 @@ def generate_launch_description() -> LaunchDescription:
     mode = parameters("lock_step") | {
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
     }
-    record = parameters("output") | {"use_sim_time": parameter("lock_step")}
+    record = parameters("output", "vehicle", "base_link_to_cg") | {"use_sim_time": parameter("lock_step")}
     gated = LaunchConfiguration("gate")
     renamed = [
         (topic, IfElseSubstitution(gated, new, topic))
@@ -151,13 +151,14 @@ def node(
     condition: IfCondition | None = None,
     renamed: list[tuple[str, IfElseSubstitution]] | None = None,
 ) -> Node:
-    """Return a node in the chosen namespace with its log on the screen."""
+    """Return a node in the chosen namespace with its log on the screen; lock-step has its clock."""
+    clock = IfElseSubstitution(LaunchConfiguration("lock_step"), "clock", topics.CLOCK)
     return Node(
         package=package,
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
         parameters=[values],
         condition=condition,
-        remappings=renamed,
+        remappings=[*(renamed or []), (topics.CLOCK, clock)],
         output="screen",
     )

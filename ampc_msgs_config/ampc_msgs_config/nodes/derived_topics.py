@@ -67,6 +67,10 @@ class DerivedTopics:
         self.car, steering = load_outline(vehicle, base_link_to_cg)
         self.angle_of = partial(ros.steering_angle, steering=steering)
         self.prefix, self.has_transforms, self.has_pictures = prefix, transforms, pictures
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all messages."""
         self.newest: dict[str, bytes] = {}
         """Newest message of each topic in SHOWN."""
         self.is_first, self.last_ns = True, 0

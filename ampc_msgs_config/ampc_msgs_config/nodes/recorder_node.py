@@ -31,6 +31,7 @@ from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, shortened
 from ampc_msgs_config.nodes.live_transforms import has_other_broadcaster
+from ampc_msgs_config.nodes.other_cars import is_of_another_car
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
@@ -166,11 +167,12 @@ class Recorder(Node):
         taken: tuple[bytes, dict[str, int]] | None = (data, info)
         while taken:
             data, info = taken
-            self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
-            arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
-            self.arrivals.waiting.append(arrival)
-            if arrival.publish_ns < self.end_ns:
-                self.last_arrival = time.monotonic()
+            if not is_of_another_car(topic, data, self.get_namespace()):
+                self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
+                arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
+                self.arrivals.waiting.append(arrival)
+                if arrival.publish_ns < self.end_ns:
+                    self.last_arrival = time.monotonic()
             taken = take_serialized(self.inputs[topic])
 
     def on_lost(self, event: Any) -> None:
@@ -214,6 +216,7 @@ class Recorder(Node):
             if self.arrivals.undated:
                 self.arrivals.undated = 0
                 self.recording.begin_anew()
+                self.derived.begin()
             self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:
