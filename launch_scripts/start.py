@@ -157,7 +157,10 @@ def follow(nodes: Processes, run: Run, console: Console) -> None:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
     printed: set[str] = set()
     scenario, namespace = run.scenario, run.options["namespace"]
-    with DriveWatch(namespace) as watch, Progress(*columns, TimeElapsedColumn(), console=console) as bar:
+    with (
+        DriveWatch(namespace) as watch,
+        Progress(*columns, TimeElapsedColumn(), console=console) as bar,
+    ):
         task = bar.add_task(scenario.name, total=scenario.duration, at="starting")
         while not is_over(nodes):
             watch.look(0.1)

@@ -103,7 +103,9 @@ def generate_launch_description() -> LaunchDescription:
     mode = parameters("lock_step") | {
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
     }
-    record = parameters("output", "vehicle", "base_link_to_cg") | {"use_sim_time": parameter("lock_step")}
+    record = parameters("output", "vehicle", "base_link_to_cg") | {
+        "use_sim_time": parameter("lock_step")
+    }
     gated = LaunchConfiguration("gate")
     renamed = [
         (topic, IfElseSubstitution(gated, new, topic))
