@@ -60,6 +60,7 @@ ARGUMENTS = {
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
     "namespace": ("", "namespace of nodes and topics"),
+    "frame_prefix": ("", "prefix of the car's frames, such as car1/; empty: the namespace"),
     "simulate": ("true", "start the simulator; false for a real car"),
     "gate": ("true", "start the gate, the last station before the car; false: without it"),
     "output": ("", "new folder for a recording; empty: none"),
@@ -77,6 +78,7 @@ TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkey
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
+PICTURE = ("vehicle", "base_link_to_cg", "frame_prefix")
 GATE = ("vehicle", "guard", "settings")
 CONTROL = (
     "vehicle",
@@ -103,9 +105,7 @@ def generate_launch_description() -> LaunchDescription:
     mode = parameters("lock_step") | {
         "wait_for_recorder": ParameterValue(recorded, value_type=bool)
     }
-    record = parameters("output", "vehicle", "base_link_to_cg") | {
-        "use_sim_time": parameter("lock_step")
-    }
+    record = parameters("output", *PICTURE) | {"use_sim_time": parameter("lock_step")}
     gated = LaunchConfiguration("gate")
     renamed = [
         (topic, IfElseSubstitution(gated, new, topic))
@@ -125,7 +125,7 @@ def generate_launch_description() -> LaunchDescription:
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=EmitEvent(event=Shutdown())))
         for each in nodes
     ]
-    look = parameters("lock_step", "vehicle", "base_link_to_cg")
+    look = parameters("lock_step", *PICTURE)
     markers = node("ampc_msgs_config", "markers", look)
     return LaunchDescription([*arguments, local_discovery(), *together, *nodes, markers])
 

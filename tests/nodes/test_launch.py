@@ -53,7 +53,8 @@ def started(launch_file: Any) -> dict[str, set[str]]:
 def test_the_launch_file_starts_every_node_with_parameters_that_it_has(launch_file: Any) -> None:
     given = started(launch_file)
     assert given.keys() == {*NODES, "recorder"}
-    assert given["recorder"] == {"output", "use_sim_time"}
+    look = {"vehicle", "base_link_to_cg", "frame_prefix"}
+    assert given["recorder"] == {"output", "use_sim_time", *look}
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
@@ -100,13 +101,20 @@ def test_with_the_gate_the_simulated_car_receives_the_commands_of_the_gate(
     launch_file: Any,
 ) -> None:
     gate, choose = launch_file.LaunchConfiguration.return_value, launch_file.IfElseSubstitution
-    choices = [call.args for call in choose.call_args_list]
+    choices = [call.args for call in choose.call_args_list if call.args[1] != "clock"]
     assert choices == [
         (gate, f"gate/{name}", name) for name in ("steering_command", "target_speed")
     ]
     renamed = {
-        call.kwargs["executable"]: call.kwargs["remappings"]
+        call.kwargs["executable"]: [topic for topic, _ in call.kwargs["remappings"]]
         for call in launch_file.Node.call_args_list
     }
-    assert [topic for topic, _ in renamed.pop("simulator")] == ["steering_command", "target_speed"]
-    assert set(renamed.values()) == {None}
+    assert renamed.pop("simulator") == ["steering_command", "target_speed", "/clock"]
+    assert all(topics == ["/clock"] for topics in renamed.values())
+
+
+def test_in_lock_step_the_clock_is_in_the_namespace_of_the_nodes(launch_file: Any) -> None:
+    switch, choose = launch_file.LaunchConfiguration.return_value, launch_file.IfElseSubstitution
+    clocks = [call.args for call in choose.call_args_list if call.args[1] == "clock"]
+    assert set(clocks) == {(switch, "clock", "/clock")}
+    assert len(clocks) == len(launch_file.Node.call_args_list)
