@@ -1,6 +1,7 @@
 """Transforms and pictures that a recorder derives from odometry."""
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -45,7 +46,7 @@ def picture(topics: DerivedTopics, milliseconds: int, **changes: Any) -> MarkerA
 def test_pictures_are_at_least_a_fifth_of_a_second_apart(period: int) -> None:
     topics = derived_topics()
     times = [t for t in range(1000, 9000, period) if ros.MARKERS in names(topics, odometry(t))]
-    gaps = [b - a for a, b in zip(times, times[1:], strict=False)]
+    gaps = [b - a for a, b in pairwise(times)]
     assert min(gaps) >= 200
     assert max(gaps) < 200 + max(period, 51)
 

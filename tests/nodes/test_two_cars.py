@@ -5,6 +5,7 @@ import shlex
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -47,7 +48,7 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bags(road: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
+def bags(road: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Drive all cars at once; return their bags."""
     folder = tmp_path_factory.mktemp("cars")
     started = {}
@@ -61,7 +62,7 @@ def bags(road: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[
         for each in started.values():
             said, _ = each.process.communicate(timeout=TIMEOUT)
             assert each.process.returncode == 0, said
-    yield {name: folder / name / "bag" for name in SPEEDS}
+    return {name: folder / name / "bag" for name in SPEEDS}
 
 
 def senders(bag: Path) -> Iterator[str]:
@@ -123,7 +124,7 @@ def test_the_frames_and_markers_of_a_car_carry_its_namespace(
     states = list(read(bags[name], [f"/{name}/odom"]))
     stamps = [ros.nanoseconds(each.markers[0].header.stamp) for each in pictures]
     assert 3 < len(pictures) < len(states)
-    assert min(b - a for a, b in zip(stamps, stamps[1:], strict=False)) >= PICTURE_PERIOD_NS
+    assert min(b - a for a, b in pairwise(stamps)) >= PICTURE_PERIOD_NS
     markers = [each for picture in pictures for each in picture.markers]
     assert {each.header.frame_id for each in markers} == {base}
     assert all(each.frame_locked for each in markers)

@@ -19,7 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.recorder_node import CONTRACT
-from ampc_msgs_config.types import RECORD_QUANTITIES, REASONS, RUNGS
+from ampc_msgs_config.types import REASONS, RECORD_QUANTITIES, RUNGS
 from tests.layouts import split_path, values_at
 
 FOLDER = Path(__file__).resolve().parents[2] / "ampc_ros" / "viewers"
