@@ -140,7 +140,10 @@ def fill_page(drives: Sequence[JudgedDrive], thresholds: str, command: str, poin
         thresholds=thresholds,
         verdict_rows=verdict_rows(drives),
         summary=summary_rows(drives),
-        charts=[(panel, describe_chart(panel, figure)) for panel, figure in charts],
+        charts=[
+            (panel, describe_chart(panel, figure), constant_values(panel, figure))
+            for panel, figure in charts
+        ],
         empty=empty,
         has_events=events is not None,
         has_ticks=any("rung" in drive.record.tick for drive in drives),
@@ -165,6 +168,17 @@ def describe_chart(panel: Panel, figure: go.Figure) -> str:
         elif len(values):
             names.append(f"{line.name} from {values.min():.3g} to {values.max():.3g}")
     return f"{panel.title} over time. {'; '.join(dict.fromkeys(names))}."
+
+
+def constant_values(panel: Panel, figure: go.Figure) -> str:
+    """Return the value of each line of a chart without any change; empty: something changes."""
+    values = {}
+    for line in figure.data:
+        numbers = {value for value in line.y if value is not None}
+        if panel is EVENTS or len(numbers) > 1:
+            return ""
+        values |= {f"{line.name} {number:.4g}": None for number in numbers}
+    return ", ".join(values)
 
 
 def compress(text: str) -> str:
@@ -217,7 +231,7 @@ def facts_of(drive: JudgedDrive) -> Iterator[tuple[str, str]]:
     gains = columns.configuration.get("controller", {}).get("gains")
     origin = gains.get("provenance") if isinstance(gains, Mapping) else None
     if isinstance(origin, Mapping) and "command" in origin:
-        yield "Gains", str(origin["command"])[:200]
+        yield "Gains tuned by", str(origin["command"])[:200]
     simulator = columns.configuration.get("simulator", {})
     scenario = simulator.get("scenario")
     if isinstance(scenario, Mapping) and "name" in scenario:

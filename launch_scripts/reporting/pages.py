@@ -6,6 +6,7 @@
 import argparse
 import base64
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from markupsafe import Markup, escape
 from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
+
+from launch_scripts.reporting.units import length_text
 
 ROOT = Path(__file__).parents[1]
 """Folder of the templates; a template is named relative to it: `comparing/compare.html`."""
@@ -127,6 +130,17 @@ def source(file: str) -> Markup:
     return Markup((ROOT / file).read_text(encoding="utf-8"))  # noqa: S704 (a file of this package)
 
 
+def breakable(name: str) -> Markup:
+    """Return a name that a narrow page breaks after `_` and `/` only."""
+    return Markup(re.sub(r"([_/])", r"\1<wbr>", str(escape(name))))  # noqa: S704 (escaped)
+
+
+def command_words(command: str) -> Markup:
+    """Return a command that a narrow page breaks between its words only."""
+    word = Markup('<span class="word">{}</span>')
+    return Markup(" ").join(word.format(each) for each in command.split())
+
+
 def svg_url(svg: str) -> str:
     """Return a `data:` URL of an SVG picture."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
@@ -140,5 +154,6 @@ ENVIRONMENT = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url}
+ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url, "length_text": length_text}
+ENVIRONMENT.filters |= {"breakable": breakable, "command": command_words}
 ENVIRONMENT.globals["source"] = source
