@@ -33,7 +33,8 @@ OVERLAPS = """() => {
     const meets = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
       && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
     all.forEach(([one, first], k) => all.slice(k + 1).forEach(([other, second]) => {
-      if (first.some(a => second.some(b => meets(a, b)))) found.push(`${plot.id}: ${one}, ${other}`);
+      if (first.some(a => second.some(b => meets(a, b))))
+        found.push(`${plot.id}: ${one}, ${other}`);
     }));
     for (const [name, of] of all)
       if (!["tool bar"].includes(name) && of.some(a => area.some(b => meets(a, b))))

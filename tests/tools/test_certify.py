@@ -60,8 +60,8 @@ from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.drives import straight
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
-from tests.html_pages import CHROMIUM, check_widths, open_browser
 from tests.certificates import certificate_of, write_certificate
+from tests.html_pages import CHROMIUM, check_widths, open_browser
 
 ROOT = Path(__file__).resolve().parents[2]
 ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
