@@ -172,7 +172,7 @@ def describe_chart(panel: Panel, figure: go.Figure) -> str:
 
 def constant_values(panel: Panel, figure: go.Figure) -> str:
     """Return the value of each line of a chart without any change; empty: something changes."""
-    values = {}
+    values: dict[str, None] = {}
     for line in figure.data:
         numbers = {value for value in line.y if value is not None}
         if panel is EVENTS or len(numbers) > 1:
