@@ -17,28 +17,49 @@ PACKAGE = "rerun-sdk"
 MAP_PATH, CAR_PATH = "map", "map/car"
 """Entities of the fixed frame, and of the car's frame."""
 TIMELINE = "time"
-REFERENCE_RGB, DRIVEN_RGB, PREDICTED_RGB = (230, 159, 0), (86, 180, 233), (0, 158, 115)
+REFERENCE_RGB, DRIVEN_RGB, PREDICTED_RGB = (230, 159, 0), (86, 180, 233), (240, 228, 66)
 """Colours by Okabe and Ito, which differ from each other and from the dark background."""
 HEIGHT = 0.05
 """Height of the driven path above the reference path [m]."""
-OVERVIEW = 1.2
-"""Height of the eye above the road, per extent of the road."""
-FOLLOWING = (-14.0, -6.0, 10.0)
-"""Place of the eye that follows the car, relative to its start [m]."""
-PLOTS: dict[str, tuple[str, tuple[tuple[str, str, int, float], ...]]] = {
+ASPECT, OVERVIEW = 2.3, 1.6
+"""Width of the view of the road per its height, and height of the eye per extent of the road."""
+BEHIND, AHEAD = (-16.0, 0.0, 11.0), (7.0, 0.0, 0.0)
+"""Place of the eye that follows the car, and the point that it looks at, in the car's frame [m]."""
+BACKGROUND = (24, 26, 32)
+DEGREES = 180.0 / np.pi
+
+
+class Line(NamedTuple):
+    """One line over time."""
+
+    name: str
+    topic: str
+    column: int
+    """Column of the topic's values after the time."""
+    factor: float
+    rgb: tuple[int, int, int]
+    width: float = 1.5
+
+
+PLOTS: dict[str, tuple[str, tuple[Line, ...]]] = {
     "steering": (
         "Steering [deg]",
         (
-            ("commanded", topics.STEERING_COMMAND, 1, 180.0 / np.pi),
-            ("measured", topics.STEERING_STATE, 1, 180.0 / np.pi),
+            Line("measured", topics.STEERING_STATE, 1, DEGREES, REFERENCE_RGB, 4.0),
+            Line("commanded", topics.STEERING_COMMAND, 1, DEGREES, DRIVEN_RGB),
         ),
     ),
     "speed": (
         "Speed [m/s]",
-        (("driven", topics.ODOM, 4, 1.0), ("target", topics.TARGET_SPEED, 1, 1.0)),
+        (
+            Line("target", topics.TARGET_SPEED, 1, 1.0, REFERENCE_RGB, 4.0),
+            Line("driven", topics.ODOM, 4, 1.0, DRIVEN_RGB),
+        ),
     ),
 }
-"""By entity: title, and for each line its name, topic, column and factor."""
+"""Title and lines of each chart, by entity."""
+ERROR = "error"
+"""Entity of the cross-track error, whose chart is in millimetres."""
 
 
 class Box(NamedTuple):
@@ -79,13 +100,13 @@ def write_rerun(file: Path, drive: JudgedDrive) -> None:
     stream.save(str(file), default_blueprint=layout(rrb, drive))
     stream.log(MAP_PATH, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     # Road and driven path
-    log_lines(rr, stream, f"{MAP_PATH}/reference_path", drive.columns.paths, REFERENCE_RGB, 4.0)
+    log_lines(rr, stream, f"{MAP_PATH}/reference_path", drive.columns.paths, REFERENCE_RGB, 7.0)
     predicted = drive.columns.predictions
     log_lines(rr, stream, f"{MAP_PATH}/predicted_path", predicted, PREDICTED_RGB, 2.0)
     odom = drive.columns.values[topics.ODOM]
     driven = np.column_stack((odom[:, 1:3], np.full(len(odom), HEIGHT)))
-    line = rr.LineStrips3D([driven], colors=[DRIVEN_RGB], radii=rr.Radius.ui_points(1.5))
-    stream.log(f"{MAP_PATH}/driven_path", line, static=True)
+    strip = rr.LineStrips3D([driven], colors=[DRIVEN_RGB], radii=rr.Radius.ui_points(1.0))
+    stream.log(f"{MAP_PATH}/driven_path", strip, static=True)
     # Car
     half = odom[:, 3] / 2
     zero = np.zeros(len(odom))
@@ -95,15 +116,25 @@ def write_rerun(file: Path, drive: JudgedDrive) -> None:
     stream.send_columns(CAR_PATH, [rr.TimeColumn(TIMELINE, duration=odom[:, 0])], moves)
     log_car(rr, stream, drive)
     # Lines over time
-    log_series(rr, stream, "error/cross_track", drive.record.time, drive.errors[:, 0])
-    for entity, (_, lines) in PLOTS.items():
-        for name, topic, column, factor in lines:
-            rows = drive.columns.values.get(topic, np.empty((0, column + 1)))
-            log_series(rr, stream, f"{entity}/{name}", rows[:, 0], factor * rows[:, column])
+    for entity, time, values, line in chart_lines(drive):
+        style = rr.SeriesLines(colors=[line.rgb], names=[line.name], widths=[line.width])
+        stream.log(entity, style, static=True)
+        log_series(rr, stream, entity, time, values)
     for name, rows in drive.columns.tick.items():
         log_series(rr, stream, f"controller/{name}", rows[:, 0], rows[:, 1])
     stream.flush()
     stream.disconnect()
+
+
+def chart_lines(drive: JudgedDrive) -> Iterator[tuple[str, Array, Array, Line]]:
+    """Return entity, time (n,) [s], values (n,) and style of each line of the charts."""
+    error = Line("cross-track error", "", 0, 1e3, DRIVEN_RGB)
+    yield f"{ERROR}/cross_track", drive.record.time, 1e3 * drive.errors[:, 0], error
+    for entity, (_, lines) in PLOTS.items():
+        for number, line in enumerate(lines):  # drawn in the order of their entities
+            rows = drive.columns.values.get(line.topic, np.empty((0, line.column + 1)))
+            values = line.factor * rows[:, line.column]
+            yield f"{entity}/{number}_{line.name}", rows[:, 0], values, line
 
 
 def log_lines(
@@ -138,7 +169,7 @@ def log_car(rr: Any, stream: Any, drive: JudgedDrive) -> None:
                     centers=[each.centre for each in boxes],
                     sizes=[each.size for each in boxes],
                     quaternions=[rr.Quaternion(xyzw=each.quaternion) for each in boxes],
-                    colors=[[round(255 * part) for part in each.colour] for each in boxes],
+                    colors=[[round(255 * part) for part in each.colour[:3]] for each in boxes],
                     fill_mode="solid",
                 ),
             )
@@ -178,21 +209,35 @@ def box_of(marker: Any) -> Box:
 
 
 def layout(rrb: Any, drive: JudgedDrive) -> Any:
-    """Return the default layout: the road and the car on the left, lines on the right."""
+    """Return the default layout: the road and the car on the left, charts on the right."""
     odom = drive.columns.values[topics.ODOM]
     low, high = odom[:, 1:3].min(axis=0), odom[:, 1:3].max(axis=0)
-    (x, y), extent = (low + high) / 2, float(max(*(high - low), 10.0))
-    above = rrb.EyeControls3D(
-        position=[x, y - 0.01 * extent, OVERVIEW * extent], look_target=[x, y, 0.0]
+    (x, y), (width, depth) = (low + high) / 2, high - low
+    eye = OVERVIEW * max(float(width) / ASPECT, float(depth), 10.0)
+    above = rrb.EyeControls3D(position=[x, y - 0.01 * eye, eye], look_target=[x, y, 0.0])
+    behind = rrb.EyeControls3D(position=BEHIND, look_target=AHEAD, eye_up=(0.0, 0.0, 1.0))
+    contents, background = f"/{MAP_PATH}/**", rrb.Background(color=BACKGROUND)
+    road = rrb.Spatial3DView(
+        origin=MAP_PATH, name="Road", eye_controls=above, background=background, line_grid=False
     )
-    start = np.array((*odom[0, 1:3], 0.0))
-    behind = rrb.EyeControls3D(
-        position=start + FOLLOWING, look_target=start, tracking_entity=CAR_PATH
+    car = rrb.Spatial3DView(
+        origin=CAR_PATH, contents=contents, name="Car", eye_controls=behind, background=background
     )
-    road = rrb.Spatial3DView(origin=MAP_PATH, name="Road", eye_controls=above)
-    car = rrb.Spatial3DView(origin=MAP_PATH, name="Car", eye_controls=behind)
-    plots = [rrb.TimeSeriesView(origin="error", name="Cross-track error [m]")]
+    charts = [rrb.TimeSeriesView(origin=ERROR, name="Cross-track error [mm]")]
     for entity, (title, _) in PLOTS.items():
-        plots.append(rrb.TimeSeriesView(origin=entity, name=title))
+        lines = [values for name, _, values, _ in chart_lines(drive) if name.startswith(entity)]
+        axis = rrb.ScalarAxis(range=range_of(np.concatenate(lines)))
+        charts.append(rrb.TimeSeriesView(origin=entity, name=title, axis_y=axis))
     left = rrb.Vertical(road, car, row_shares=[2, 3])
-    return rrb.Blueprint(rrb.Horizontal(left, rrb.Vertical(*plots)), collapse_panels=True)
+    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE)
+    parts = rrb.Horizontal(left, rrb.Vertical(*charts)), panel
+    return rrb.Blueprint(
+        *parts, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
+    )
+
+
+def range_of(values: Array) -> tuple[float, float]:
+    """Return a range that contains zero and all values (n,), at least 1 on each used side."""
+    finite = values[np.isfinite(values)]
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=1.0))
+    return 1.1 * min(low, -1.0) if low < -0.05 else -0.1 * high, 1.1 * high

@@ -1,6 +1,8 @@
 """A drive in the viewer Rerun: the recording, and what its web viewer shows in Chromium."""
 
 import io
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -34,6 +36,8 @@ SOFTWARE_GL = (
 SIZE = {"width": 1400, "height": 800}
 TOLERANCE = 40
 """Largest difference of each of red, green and blue: lines have smooth edges."""
+MOST_NOISE = 30
+"""Pixels of a colour that do not count as something drawn."""
 Picture = NDArray[np.int64]
 
 
@@ -76,7 +80,12 @@ def served(file: Path) -> Iterator[str]:
     web, data = free_port(), free_port()
     command = [sys.executable, "-m", "rerun", str(file), "--serve-web", "--bind", "127.0.0.1"]
     command += ["--web-viewer-port", str(web), "--port", str(data)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # the module starts the program of the viewer
+    )
     try:
         limit = time.monotonic() + TIMEOUT
         while time.monotonic() < limit:
@@ -87,7 +96,7 @@ def served(file: Path) -> Iterator[str]:
         source = quote(f"rerun+http://127.0.0.1:{data}/proxy", safe="")
         yield f"http://127.0.0.1:{web}/?url={source}&hide_welcome_screen&renderer=webgl"
     finally:
-        process.terminate()
+        os.killpg(process.pid, signal.SIGTERM)
         process.wait(TIMEOUT)
 
 
@@ -110,14 +119,27 @@ def test_path_driven_line_and_car_are_visible_in_the_web_viewer(recording: Path)
         limit = time.monotonic() + TIMEOUT
         while time.monotonic() < limit:
             picture = photograph(page)
-            found = [places(picture, each) for each in (REFERENCE_RGB, DRIVEN_RGB, car)]
-            if all(len(each) > 50 for each in found):
+            road, close, charts = picture[60:320, :690], picture[360:760, :690], picture[:, 720:]
+            path, driven, body = (
+                places(road, REFERENCE_RGB),
+                places(road, DRIVEN_RGB),
+                places(close, car),
+            )
+            lines = places(charts, DRIVEN_RGB)
+            if min(map(len, (path, driven, body, lines))) > MOST_NOISE:
                 break
             page.wait_for_timeout(500)
-    path, driven, body = found
-    assert len(path) > 50
-    assert len(driven) > 50
-    assert len(body) > 50
+    assert min(map(len, (path, driven, body, lines))) > MOST_NOISE
+    # Path and driven line cross the view of the road, one on the other.
+    for each in (path, driven):
+        assert np.ptp(each[:, 1]) > 250 or np.ptp(each[:, 0]) > 100
+    assert abs(np.median(path, axis=0) - np.median(driven, axis=0)).max() < 150
+    # The car is in the middle of the view that follows it, and on the path.
+    centre = np.median(body, axis=0)
+    assert abs(centre - (200, 345)).max() < 90
+    near = places(close, REFERENCE_RGB)
+    assert len(near) > MOST_NOISE
+    assert abs(near[:, 1] - centre[1]).min() < 40
 
 
 def test_without_the_package_one_line_says_what_to_install(
