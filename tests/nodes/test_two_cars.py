@@ -18,8 +18,8 @@ from ampc_msgs_config.config import find
 from ampc_msgs_config.nodes.derived_topics import PICTURE_PERIOD_NS
 from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
-from ampc_ros.configuration import Choices
-from ampc_ros.controller import make_controller
+from ampc_ros.configuration import Choices, configuration
+from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts import replay
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
@@ -40,9 +40,9 @@ VIEWERS = Path(__file__).resolve().parents[2] / "ampc_ros" / "viewers"
 
 @pytest.fixture(scope="module")
 def road(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a short bend."""
+    """Write a short road into a bend."""
     file = tmp_path_factory.mktemp("road") / "road.csv"
-    rows = (f"{x},{0.01 * x * x}\n" for x in range(19))
+    rows = (f"{x},{0.01 * max(x - 5, 0) ** 2}\n" for x in range(21))
     file.write_text("x_m,y_m\n" + "".join(rows), encoding="utf-8")
     return file
 
@@ -96,8 +96,8 @@ def test_a_car_in_lock_step_drives_as_it_drives_alone_bit_for_bit(
 ) -> None:
     vehicle = load_vehicle_file(find("vehicles", "paper"))
     scenario = choose_scenario(Route(path=str(road), speed=SPEEDS[name]), vehicle.size)
-    controller = make_controller(Choices(controller=CONTROLLERS[name]))
-    alone = drive(Simulation(vehicle, scenario), controller)
+    choices = Choices(controller=CONTROLLERS[name], guard="track", static_path=True)
+    alone = drive(Simulation(vehicle, scenario), Supervisor(configuration(choices)))
     log = drive_log(read_columns(bags[name]))
     assert log.drive.states == list(alone.states)
     assert log.drive.steering.tolist() == alone.steering.tolist()
