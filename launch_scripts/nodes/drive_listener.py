@@ -24,10 +24,10 @@ from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.inputs import Inputs
 from launch_scripts.watching.live_drive import HISTORY, LiveDrive, TopicState
 
-WINDOW = 2.0
+RATE_WINDOW = 2.0
 """Wall time over which a rate is measured [s]."""
 NEWEST_FIRST = (qos.NEWEST,)
-SOURCES: dict[str, tuple[type, tuple[QoSProfile, ...]]] = {
+WATCHED: dict[str, tuple[type, tuple[QoSProfile, ...]]] = {
     topics.ODOM: (Odometry, NEWEST_FIRST),
     topics.REFERENCE_PATH: (PathMessage, qos.ANY_PUBLISHER),
     topics.TARGET_SPEED: (TwistStamped, NEWEST_FIRST),
@@ -46,12 +46,12 @@ class DriveListener(Node):
         """Subscribe to a drive in a namespace."""
         super().__init__("watch", namespace=namespace, enable_rosout=False)
         self.newest: dict[str, Any] = {}
-        self.arrivals: dict[str, deque[float]] = {name: deque(maxlen=200) for name in SOURCES}
+        self.arrivals: dict[str, deque[float]] = {name: deque(maxlen=200) for name in WATCHED}
         self.histories: dict[str, deque[float]] = {
             name: deque(maxlen=HISTORY) for name in ("cross_track_error", "steering", "speed")
         }
         self.inputs = Inputs(self)
-        for name, (kind, profiles) in SOURCES.items():
+        for name, (kind, profiles) in WATCHED.items():
             self.inputs.add(kind, name, partial(self.keep, name), *profiles)
 
     def keep(self, name: str, message: Any) -> None:
@@ -78,7 +78,7 @@ class DriveListener(Node):
             values,
             gate.data if gate else "",
             bool(stop.data) if stop else None,
-            [self.topic_state(name) for name in SOURCES],
+            [self.topic_state(name) for name in WATCHED],
             {name: list(history) for name, history in self.histories.items()},
             self.inputs.mismatches(),
         )
@@ -86,7 +86,7 @@ class DriveListener(Node):
     def topic_state(self, name: str) -> TopicState:
         """Return rate and age of a topic."""
         now, times = time.monotonic(), self.arrivals[name]
-        recent = [each for each in times if now - each <= WINDOW]
+        recent = [each for each in times if now - each <= RATE_WINDOW]
         rate = (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 2 else math.nan
         full = self.resolve_topic_name(name)
         return TopicState(

@@ -19,11 +19,11 @@ MAP_PATH, CAR_PATH = "map", "map/car"
 TIMELINE = "time"
 REFERENCE_RGB, DRIVEN_RGB, PREDICTED_RGB = (230, 159, 0), (86, 180, 233), (240, 228, 66)
 """Colours by Okabe and Ito, which differ from each other and from the dark background."""
-HEIGHT = 0.05
+DRIVEN_HEIGHT = 0.05
 """Height of the driven path above the reference path [m]."""
 ASPECT, OVERVIEW = 2.3, 1.6
 """Width of the view of the road per its height, and height of the eye per extent of the road."""
-BEHIND, AHEAD = (-16.0, 0.0, 11.0), (7.0, 0.0, 0.0)
+EYE_BEHIND, LOOK_AHEAD_OF_CAR = (-16.0, 0.0, 11.0), (7.0, 0.0, 0.0)
 """Place of the eye that follows the car, and the point that it looks at, in the car's frame [m]."""
 BACKGROUND = (24, 26, 32)
 DEGREES = 180.0 / np.pi
@@ -58,7 +58,7 @@ PLOTS: dict[str, tuple[str, tuple[Line, ...]]] = {
     ),
 }
 """Title and lines of each chart, by entity."""
-ERROR = "error"
+ERROR_ENTITY = "error"
 """Entity of the cross-track error, whose chart is in millimetres."""
 
 
@@ -104,7 +104,7 @@ def write_rerun(file: Path, drive: JudgedDrive) -> None:
     predicted = drive.columns.predictions
     log_lines(rr, stream, f"{MAP_PATH}/predicted_path", predicted, PREDICTED_RGB, 2.0)
     odom = drive.columns.values[topics.ODOM]
-    driven = np.column_stack((odom[:, 1:3], np.full(len(odom), HEIGHT)))
+    driven = np.column_stack((odom[:, 1:3], np.full(len(odom), DRIVEN_HEIGHT)))
     strip = rr.LineStrips3D([driven], colors=[DRIVEN_RGB], radii=rr.Radius.ui_points(1.0))
     stream.log(f"{MAP_PATH}/driven_path", strip, static=True)
     # Car
@@ -129,7 +129,7 @@ def write_rerun(file: Path, drive: JudgedDrive) -> None:
 def chart_lines(drive: JudgedDrive) -> Iterator[tuple[str, Array, Array, Line]]:
     """Return entity, time (n,) [s], values (n,) and style of each line of the charts."""
     error = Line("cross-track error", "", 0, 1e3, DRIVEN_RGB)
-    yield f"{ERROR}/cross_track", drive.record.time, 1e3 * drive.errors[:, 0], error
+    yield f"{ERROR_ENTITY}/cross_track", drive.record.time, 1e3 * drive.errors[:, 0], error
     for entity, (_, lines) in PLOTS.items():
         for number, line in enumerate(lines):  # drawn in the order of their entities
             rows = drive.columns.values.get(line.topic, np.empty((0, line.column + 1)))
@@ -215,7 +215,9 @@ def layout(rrb: Any, drive: JudgedDrive) -> Any:
     (x, y), (width, depth) = (low + high) / 2, high - low
     eye = OVERVIEW * max(float(width) / ASPECT, float(depth), 10.0)
     above = rrb.EyeControls3D(position=[x, y - 0.01 * eye, eye], look_target=[x, y, 0.0])
-    behind = rrb.EyeControls3D(position=BEHIND, look_target=AHEAD, eye_up=(0.0, 0.0, 1.0))
+    behind = rrb.EyeControls3D(
+        position=EYE_BEHIND, look_target=LOOK_AHEAD_OF_CAR, eye_up=(0.0, 0.0, 1.0)
+    )
     contents, background = f"/{MAP_PATH}/**", rrb.Background(color=BACKGROUND)
     road = rrb.Spatial3DView(
         origin=MAP_PATH, name="Road", eye_controls=above, background=background, line_grid=False
@@ -223,7 +225,7 @@ def layout(rrb: Any, drive: JudgedDrive) -> Any:
     car = rrb.Spatial3DView(
         origin=CAR_PATH, contents=contents, name="Car", eye_controls=behind, background=background
     )
-    charts = [rrb.TimeSeriesView(origin=ERROR, name="Cross-track error [mm]")]
+    charts = [rrb.TimeSeriesView(origin=ERROR_ENTITY, name="Cross-track error [mm]")]
     for entity, (title, _) in PLOTS.items():
         lines = [values for name, _, values, _ in chart_lines(drive) if name.startswith(entity)]
         axis = rrb.ScalarAxis(range=range_of(np.concatenate(lines)))

@@ -14,7 +14,7 @@ from launch_scripts.reporting.units import NO_NUMBER, duration_text, length_text
 HISTORY = 60
 """Values of a sparkline."""
 BLOCKS = "\u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"
-OLD = 1.0
+LATE_AGE = 1.0
 """Wall time without a message after which the age of a topic is marked [s]."""
 
 
@@ -84,7 +84,7 @@ def word(words: Sequence[str], index: float) -> str:
     return words[int(index)].replace("_", " ") if known else f"{index:g}"
 
 
-def rows_of(drive: LiveDrive) -> list[tuple[str, str, str]]:
+def quantity_rows(drive: LiveDrive) -> list[tuple[str, str, str]]:
     """Return title, value and history (key) of each quantity."""
     error, degrees = drive.value("cross_track_error"), 180.0 / math.pi
     stop = {None: NO_NUMBER, False: "no", True: "STOP REQUESTED"}[drive.stop]
@@ -112,7 +112,7 @@ def line_of_drive(drive: LiveDrive) -> str:
     """Return the state in one line, for a log."""
     if not drive.has_begun:
         return waits_for(drive)
-    cells = [f"{title} {text}" for title, text, _ in rows_of(drive)]
+    cells = [f"{title} {text}" for title, text, _ in quantity_rows(drive)]
     rates = [f"{each.name} {rate_text(each)}" for each in drive.topics if each.rate == each.rate]
     return ", ".join([*cells, *rates, *drive.mismatches])
 
@@ -136,14 +136,14 @@ def picture_of_drive(drive: LiveDrive) -> Group:
     if not drive.has_begun:
         return Group(Text(waits_for(drive), style="yellow"), *problems(drive))
     table = Table(box=None, show_header=False, pad_edge=False)
-    for title, text, history in rows_of(drive):
+    for title, text, history in quantity_rows(drive):
         line = sparkline(drive.histories.get(history, ()))
         table.add_row(Text(title), Text(text, style=style_of(title, text)), Text(line, "cyan"))
     traffic = Table(box=None, pad_edge=False, header_style="bold")
     for head in ("topic", "rate", "age"):
         traffic.add_column(head, justify="left" if head == "topic" else "right")
     for topic in drive.topics:
-        is_old = topic.age > OLD and math.isfinite(topic.rate)
+        is_old = topic.age > LATE_AGE and math.isfinite(topic.rate)
         age = duration_text(topic.age) if topic.publishers else "no publisher"
         traffic.add_row(topic.name, rate_text(topic), Text(age, "yellow" if is_old else ""))
     return Group(table, Text(), traffic, *problems(drive))

@@ -29,7 +29,7 @@ PICTURE_PERIOD_NS = NANOSECONDS // 5
 """Time between two recorded pictures [ns]."""
 ANGLES = (ros.STEERING_STATE, ros.STEERING_COMMAND)
 """Topics of the road-wheel angle; the measured one comes first."""
-SHOWN = (*ANGLES, ros.STOP_REQUEST)
+PICTURED = (*ANGLES, ros.STOP_REQUEST)
 """Topics besides `odom` that change the picture."""
 
 
@@ -72,7 +72,7 @@ class DerivedTopics:
     def begin(self) -> None:
         """Forget all messages."""
         self.newest: dict[str, bytes] = {}
-        """Newest message of each topic in SHOWN."""
+        """Newest message of each topic in PICTURED."""
         self.is_first, self.last_ns = True, 0
 
     def of(self, name: str, data: bytes) -> Iterator[Derived]:
@@ -82,7 +82,7 @@ class DerivedTopics:
             name: Relative name of its topic.
             data: The serialised message.
         """
-        if name in SHOWN:
+        if name in PICTURED:
             self.newest[name] = data
         if name != ros.ODOM:
             return
