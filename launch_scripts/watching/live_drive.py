@@ -84,7 +84,7 @@ def word(words: Sequence[str], index: float) -> str:
     return words[int(index)].replace("_", " ") if known else f"{index:g}"
 
 
-def quantity_rows(drive: LiveDrive) -> list[tuple[str, str, str]]:
+def rows_of_drive(drive: LiveDrive) -> list[tuple[str, str, str]]:
     """Return title, value and history (key) of each quantity."""
     error, degrees = drive.value("cross_track_error"), 180.0 / math.pi
     stop = {None: NO_NUMBER, False: "no", True: "STOP REQUESTED"}[drive.stop]
@@ -112,7 +112,7 @@ def line_of_drive(drive: LiveDrive) -> str:
     """Return the state in one line, for a log."""
     if not drive.has_begun:
         return waits_for(drive)
-    cells = [f"{title} {text}" for title, text, _ in quantity_rows(drive)]
+    cells = [f"{title} {text}" for title, text, _ in rows_of_drive(drive)]
     rates = [f"{each.name} {rate_text(each)}" for each in drive.topics if each.rate == each.rate]
     return ", ".join([*cells, *rates, *drive.mismatches])
 
@@ -136,7 +136,7 @@ def picture_of_drive(drive: LiveDrive) -> Group:
     if not drive.has_begun:
         return Group(Text(waits_for(drive), style="yellow"), *problems(drive))
     table = Table(box=None, show_header=False, pad_edge=False)
-    for title, text, history in quantity_rows(drive):
+    for title, text, history in rows_of_drive(drive):
         line = sparkline(drive.histories.get(history, ()))
         table.add_row(Text(title), Text(text, style=style_of(title, text)), Text(line, "cyan"))
     traffic = Table(box=None, pad_edge=False, header_style="bold")

@@ -285,7 +285,7 @@ def test_the_recorder_keeps_receive_times_and_offers_of_a_car(tmp_path: Path) ->
         code, _ = stop(recorder, signal.SIGINT)
     found = {entry.topic: entry.log_time_ns for entry in read(tmp_path / "bag")}
     assert code == 0
-    assert found.keys() == {"/odom", "/reference_path", "/imu"}
+    assert found.keys() == {"/odom", "/reference_path", "/imu", "/markers"}
     assert all(before_ns < time_ns < time.time_ns() for time_ns in found.values())
     with Reader(tmp_path / "bag") as reader:
         offers: dict[str, Any] = {link.topic: link.ext for link in reader.connections}
