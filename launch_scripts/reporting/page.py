@@ -17,12 +17,13 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.metrics import METRICS
+from ampc_msgs_config.metrics import METRICS, Metric, Value
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.reporting.charts import OLDEST, draw_events, draw_map, draw_panel
 from launch_scripts.reporting.drive import SUMMARY, JudgedDrive
 from launch_scripts.reporting.pages import render, to_json
 from launch_scripts.reporting.panels import EVENTS, PALETTE, PANELS, Panel
+from launch_scripts.reporting.units import SHORT
 
 MAX_BYTES = 2_950_000
 """Largest size of the page."""
@@ -192,11 +193,20 @@ def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
     for metric in map(METRICS.__getitem__, SUMMARY):
         values = [drive.metrics[metric.key] for drive in drives]
         if any(value is not None for value in values):
-            shown = [v if isinstance(v, int) or v is None else v * metric.scale for v in values]
+            scale, unit = scale_of(metric, values)
+            shown = [v if isinstance(v, int) or v is None else v * scale for v in values]
             note = Markup("<small>{}</small>").format(metric.note) if metric.note else ""
             cells = [NO_DATA if value is None else value for value in shown]
-            rows.append([[metric.title, note], *cells, metric.unit])
+            rows.append([[metric.title, note], *cells, unit])
     return rows
+
+
+def scale_of(metric: Metric, values: Sequence[Value]) -> tuple[float, str]:
+    """Return factor and unit in which values of all drives are readable: short lengths in mm."""
+    largest = max((abs(value) for value in values if value is not None), default=0.0)
+    if metric.unit == "m" and largest < SHORT:
+        return 1e3 * metric.scale, "mm"
+    return metric.scale, metric.unit
 
 
 def verdict_rows(drives: Sequence[JudgedDrive]) -> Rows:

@@ -194,6 +194,7 @@ async function drawMaps() {
   const { data, layout } = report.map, config = { ...CONFIG, scrollZoom: true };
   const height = heightOf(at("map"), data), near = structuredClone({ data, layout });
   await Plotly.newPlot(at("map"), data, { ...layout, height }, config);
+  at("map").on("plotly_afterplot", fitLegend); // also after a change of the width
   await fitLegend();
   for (const axis of [near.layout.xaxis, near.layout.yaxis]) axis.range = [-NEAR, NEAR];
   Object.assign(near.layout, { height: Math.max(height, 300), showlegend: false });
@@ -250,7 +251,6 @@ function listen() {
   at("which").addEventListener("change", () => show(now));
   document.addEventListener("keydown", onKey);
   const resized = (layout) => [at("map"), ...plots].forEach((plot) => Plotly.relayout(plot, layout));
-  window.addEventListener("resize", () => setTimeout(fitLegend, 200)); // after plotly's own
   window.addEventListener("beforeprint", () => resized({ width: PRINT_WIDTH }));
   window.addEventListener("afterprint", () => resized({ width: null, autosize: true }));
 }

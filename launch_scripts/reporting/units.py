@@ -4,13 +4,15 @@ import math
 
 NO_NUMBER = "\u2013"
 """Shown in place of a missing value."""
+SHORT = 0.0995
+"""Lengths below this are shown in millimetres [m]."""
 
 
 def length_text(metres: float) -> str:
     """Return a length: millimetres below 0.1 m, such as `4.6 mm`, otherwise metres."""
     if not math.isfinite(metres):
         return NO_NUMBER
-    if abs(metres) < 0.0995:
+    if abs(metres) < SHORT:
         return f"{rounded_text(1e3 * metres)} mm"
     return f"{rounded_text(metres)} m"
 
