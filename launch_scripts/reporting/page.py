@@ -178,7 +178,10 @@ def constant_values(panel: Panel, figure: go.Figure) -> str:
         numbers = {value for value in line.y if value is not None}
         if panel is EVENTS or len(numbers) > 1:
             return ""
-        values |= {f"{line.name} {number:.4g}": None for number in numbers}
+        axis = figure.layout[(line.yaxis or "y").replace("y", "yaxis", 1)]
+        _, bracket, unit = str(axis.title.text).partition(" [")
+        unit = f" {unit.rstrip(']')}" if bracket else ""
+        values |= {f"{line.name} {number:.4g}{unit}": None for number in numbers}
     return ", ".join(values)
 
 
