@@ -29,6 +29,8 @@ MAX_BYTES = 2_950_000
 """Largest size of the page."""
 POINTS, FEWEST_POINTS = 2000, 60
 """Points of a line: first choice, which is halved until the page is small enough, and smallest."""
+NEVER_FOLDED = {EVENTS.key, "cross_track", "heading", "steering", "speed"}
+"""Charts that are open also where all their lines are constant."""
 NO_DATA = "\u2013"
 YEAR_2000 = 946_684_800
 """Earlier stamps are times of a simulation, not dates [s]."""
@@ -176,7 +178,7 @@ def constant_values(panel: Panel, figure: go.Figure) -> str:
     values: dict[str, None] = {}
     for line in figure.data:
         numbers = {value for value in line.y if value is not None}
-        if panel is EVENTS or len(numbers) > 1:
+        if panel.key in NEVER_FOLDED or len(numbers) > 1:
             return ""
         axis = figure.layout[(line.yaxis or "y").replace("y", "yaxis", 1)]
         _, bracket, unit = str(axis.title.text).partition(" [")
