@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals: list[int] = []
     handle_ending_signals(lambda number, _: signals.append(number))
     os.environ.update(ros_environment())
-    watch(options.namespace, Console(highlight=False, soft_wrap=True), lambda: bool(signals))
+    watch(options.namespace, Console(highlight=False), lambda: bool(signals))
     return 0
 
 
@@ -60,7 +60,8 @@ def watch(namespace: str, console: Console, is_over: Callable[[], bool]) -> None
 
 def print_line(console: Console, drive: LiveDrive) -> None:
     """Print one line with the time of day."""
-    console.print(f"{time.strftime('%H:%M:%S')} {line_of_drive(drive)}", markup=False)
+    line = f"{time.strftime('%H:%M:%S')} {line_of_drive(drive)}"
+    console.print(line, markup=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

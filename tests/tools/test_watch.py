@@ -43,7 +43,7 @@ VALUES = {
     "speed": 8.996,
     "target_speed": 9.0,
 }
-DRIVE = LiveDrive("/", VALUES, "passing", False, [TopicState("/odom", 1, 50.0, 0.02)], {}, [])
+DRIVE = LiveDrive("/", VALUES, "driving", False, [TopicState("/odom", 1, 50.0, 0.02)], {}, [])
 
 
 def text_of(drive: LiveDrive) -> str:
@@ -72,7 +72,7 @@ def test_times_have_readable_digits_and_units(value: float, text: str) -> None:
 @pytest.mark.parametrize("show", [line_of_drive, text_of])
 def test_every_quantity_is_shown(show: Any) -> None:
     shown = show(DRIVE)
-    for part in ("+4.6 mm", "-0.57 deg", "+5.73 deg", "9.00 of 9.00 m/s", "optimal", "passing"):
+    for part in ("+4.6 mm", "-0.57 deg", "+5.73 deg", "9.00 of 9.00 m/s", "optimal", "driving"):
         assert part in shown
     assert "42.0 \u00b5s" in shown
     assert "50 Hz" in shown
@@ -122,7 +122,7 @@ class Drive(Node):
         self.target = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
         self.tick = self.create_publisher(JointState, ros.TICK, ros.RELIABLE)
         self.gate = self.create_publisher(String, ros.GATE_STATE, ros.LATCHED)
-        self.gate.publish(String(data="passing"))
+        self.gate.publish(String(data="driving"))
 
     def publish(self) -> None:
         """Publish a state and its answers."""
@@ -166,7 +166,7 @@ def test_a_drive_over_ros_is_shown_and_ctrl_c_ends_it(is_terminal: bool) -> None
             add(executor, drive)
             for text in shown:
                 drive.publish()
-                if "passing" in text and "-12.3 mm" in text and "7.50 of 8.00 m/s" in text:
+                if "driving" in text and "-12.3 mm" in text and "7.50 of 8.00 m/s" in text:
                     break
             assert "slack (slack in use)" in text
             process.send_signal(signal.SIGINT)
