@@ -21,9 +21,8 @@ from ampc_msgs_config.metrics import METRICS, Metric, Value
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.reporting.charts import OLDEST, draw_events, draw_map, draw_panel
 from launch_scripts.reporting.drive import SUMMARY, JudgedDrive
-from launch_scripts.reporting.pages import render, to_json
+from launch_scripts.reporting.pages import SHORT_LENGTH, render, to_json
 from launch_scripts.reporting.panels import EVENTS, PALETTE, PANELS, Panel
-from launch_scripts.reporting.units import SHORT
 
 MAX_BYTES = 2_950_000
 """Largest size of the page."""
@@ -209,7 +208,7 @@ def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
 def scale_of(metric: Metric, values: Sequence[Value]) -> tuple[float, str]:
     """Return factor and unit in which values of all drives are readable: short lengths in mm."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
-    if metric.unit == "m" and largest < SHORT:
+    if metric.unit == "m" and largest < SHORT_LENGTH:
         return 1e3 * metric.scale, "mm"
     return metric.scale, metric.unit
 

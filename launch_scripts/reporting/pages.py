@@ -17,11 +17,13 @@ from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
-from launch_scripts.reporting.units import length_text
-
 ROOT = Path(__file__).parents[1]
 """Folder of the templates; a template is named relative to it: `comparing/compare.html`."""
 FORMATS = ("csv", "svg", "pdf")
+NO_NUMBER = "\u2013"
+"""Shown in place of a missing value."""
+SHORT_LENGTH = 0.0995
+"""Lengths below this are shown in millimetres [m]."""
 Part = str | float
 """Text, which is escaped unless it is `Markup`, or a number, which is formatted by `num`."""
 
@@ -128,6 +130,32 @@ def to_json(value: Any) -> Any:
 def source(file: str) -> Markup:
     """Return the text of a style sheet or script below `launch_scripts`, to be inlined."""
     return Markup((ROOT / file).read_text(encoding="utf-8"))  # noqa: S704 (a file of this package)
+
+
+def length_text(metres: float) -> str:
+    """Return a length: millimetres below 0.1 m, such as `4.6 mm`, otherwise metres."""
+    if not math.isfinite(metres):
+        return NO_NUMBER
+    if abs(metres) < SHORT_LENGTH:
+        return f"{rounded_text(1e3 * metres)} mm"
+    return f"{rounded_text(metres)} m"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a short time: microseconds, milliseconds or seconds."""
+    if not math.isfinite(seconds):
+        return NO_NUMBER
+    for factor, unit in ((1e6, "\u00b5s"), (1e3, "ms")):
+        if abs(seconds) * factor < 995.0:
+            return f"{rounded_text(factor * seconds)} {unit}"
+    return f"{rounded_text(seconds)} s"
+
+
+def rounded_text(value: float) -> str:
+    """Return a number with at most two significant digits behind the point, without an exponent."""
+    digits = 0 if abs(value) >= 99.5 else 1 if abs(value) >= 0.995 else 2
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if not float(text) else text
 
 
 def breakable(name: str) -> Markup:

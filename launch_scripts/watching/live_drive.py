@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ampc_msgs_config.types import REASONS, RUNGS
-from launch_scripts.reporting.units import NO_NUMBER, duration_text, length_text
+from launch_scripts.reporting.pages import NO_NUMBER, duration_text, length_text
 
 HISTORY = 60
 """Values of a sparkline."""

@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from ampc_msgs_config import ros
 from ampc_msgs_config.types import VehicleState
 from launch_scripts import watch
-from launch_scripts.reporting.units import duration_text, length_text
+from launch_scripts.reporting.pages import duration_text, length_text
 from launch_scripts.watching.live_drive import (
     LiveDrive,
     TopicState,
