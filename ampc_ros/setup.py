@@ -1,5 +1,7 @@
 """Installs ampc_ros as an ament_python package."""
 
+from glob import glob
+
 from setuptools import find_packages, setup
 
 PACKAGE = "ampc_ros"
@@ -19,7 +21,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", ["launch/ampc.launch.py"]),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/security", ["security/policy.xml"]),
         (f"share/{PACKAGE}/viewers", VIEWERS),
     ],

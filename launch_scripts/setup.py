@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "certify = launch_scripts.certify:main",
             "compare = launch_scripts.compare:main",
+            "connect = launch_scripts.connect:main",
             "identify = launch_scripts.identify:main",
             "injector = launch_scripts.nodes.injector_node:main",
             "new_car = launch_scripts.new_car:main",

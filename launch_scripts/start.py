@@ -30,7 +30,13 @@ from launch_scripts.run.options import (
     read_run_options,
     write_path,
 )
-from launch_scripts.run.processes import COMPLETED, Processes, ros_environment
+from launch_scripts.run.processes import (
+    COMPLETED,
+    NODE_DIED,
+    WRONG_SET_UP,
+    Processes,
+    ros_environment,
+)
 from sim_vehicle.parameters import load_vehicle_file
 
 START_TIME_OUT = 180.0
@@ -43,9 +49,8 @@ STOP_REQUESTED = "a stop is requested"
 """In the log line of the controller about a stop request."""
 DISPENSABLE = {"markers"}
 """Nodes whose end does not end the drive."""
-NOT_COMPLETED = NODE_DIED = 1
-WRONG_SET_UP = 2
-"""Exit codes; a node with invalid options also ends with WRONG_SET_UP."""
+NOT_COMPLETED = NODE_DIED
+"""Exit code of a drive that did not reach its end."""
 
 
 class RunEnded(Exception):

@@ -40,11 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals: list[int] = []
     handle_ending_signals(lambda number, _: signals.append(number))
     os.environ.update(ros_environment())
-    watch(options.namespace, Console(highlight=False), lambda: bool(signals))
+    show_live(options.namespace, Console(highlight=False), lambda: bool(signals))
     return 0
 
 
-def watch(namespace: str, console: Console, is_over: Callable[[], bool]) -> None:
+def show_live(namespace: str, console: Console, is_over: Callable[[], bool]) -> None:
     """Show a drive until `is_over` returns True."""
     from launch_scripts.nodes.drive_listener import open_listener  # needs the environment
 

@@ -1,16 +1,19 @@
 """Fixtures and markers of all tests: ROS domains, and a check that no process is left."""
 
 import os
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from domain_coordinator import domain_id
 from hypothesis.internal.conjecture import providers
 
 from launch_scripts.run.processes import ros_environment
+from tests import message_packages
+from tests.default_signals import restore_signals
+from tests.foreign_messages import PACKAGES
 from tests.left_processes import kill_processes, parent_of, processes_with
 from tests.markers import markers_of
 from tests.ros_domains import new_domain, next_domain
@@ -26,12 +29,8 @@ providers.is_local_module_file = lambda _: False  # type: ignore[assignment, att
 
 
 def pytest_configure() -> None:
-    """Let signals end the processes of the tests, also where these were started with `nohup`."""
-    for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM):
-        if signal.getsignal(number) is signal.SIG_IGN:
-            signal.signal(number, signal.SIG_DFL)
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let signals end the processes of the tests."""
+    restore_signals()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -49,6 +48,22 @@ def ros_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
             patch.setenv(name, value)
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield number
+
+
+@pytest.fixture(scope="session")
+def foreign_packages() -> dict[str, Path]:
+    """Build the message packages of other stacks, once; return their folders by name."""
+    try:
+        return {name: message_packages.built(name) for name in PACKAGES}
+    except RuntimeError as error:
+        return pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def foreign_messages(foreign_packages: dict[str, Path]) -> Iterator[None]:
+    """Make these packages importable in this process and its children, for one test."""
+    with message_packages.importable(foreign_packages):
+        yield
 
 
 @pytest.fixture(scope="module")

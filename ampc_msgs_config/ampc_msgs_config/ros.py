@@ -237,15 +237,35 @@ def steering_angle(message: JointState, steering: SteeringParameters = ROAD_WHEE
         ValueError: The message does not hold exactly one position, or its road-wheel angle is not
             in [-MAX_STEERING, MAX_STEERING].
     """
+    return Stamped(
+        nanoseconds(message.header.stamp), checked_angle(only_position(message), steering)
+    )
+
+
+def only_position(message: JointState) -> float:
+    """Return the position of the only joint of a message.
+
+    Raises:
+        ValueError: It does not hold exactly one position.
+    """
     positions = list(message.position)
     if len(positions) != 1:
         raise ValueError(f"steering: position = {positions} must hold one angle")
-    position, angle = positions[0], steering.angle(positions[0])
+    return float(positions[0])
+
+
+def checked_angle(position: float, steering: SteeringParameters) -> float:
+    """Return the road-wheel angle of a position on the steering topics [rad].
+
+    Raises:
+        ValueError: The angle is not in [-MAX_STEERING, MAX_STEERING].
+    """
+    angle = steering.angle(position)
     if not abs(angle) <= MAX_STEERING:
         low, high = sorted(map(steering.position, (-MAX_STEERING, MAX_STEERING)))
         bounds = f"[{low:.4g}, {high:.4g}] rad"
         raise ValueError(f"steering: position[0] = {position:g} must lie in {bounds}")
-    return Stamped(nanoseconds(message.header.stamp), angle)
+    return angle
 
 
 def tick_message(stamp_ns: int, values: Sequence[float]) -> JointState:

@@ -16,14 +16,16 @@ STIFFEST, STIFFEST_HEAVY = 26.0, 11.0
 """Largest plausible mean of both axles for cars and for heavy vehicles [1/rad]."""
 HEAVY, LIGHT = 5000.0, 300.0
 """Mass of a heavy vehicle, whose tyres are softer, and of a model car or a robot [kg]."""
-INERTIA, MODEL_INERTIA = (0.5, 2.3), (0.25, 2.3)
-"""Range of I_z / (m l_f l_r): known cars have 0.8 to 1.2, buses 1.5, model cars 0.46 to 1."""
+INERTIA, MODEL_INERTIA = (0.5, 2.3), (0.25, 1.7)
+"""Range of I_z / (m l_f l_r): known cars have 0.8 to 1.2, buses 1.5, model cars 0.46 to 1, a robot
+in Gazebo 1.4."""
 SHARE = (0.22, 0.78)
 """Range of the front share of the mass."""
-DENSITY = (10.0, 500.0)
-"""Range of mass / wheelbase^3 [kg/m^3]; 41 to 210 for known vehicles."""
-LARGEST_ANGLE = 1.2
-"""Largest plausible road-wheel angle [rad]."""
+DENSITY, MODEL_DENSITY = (10.0, 500.0), (1.5, 500.0)
+"""Range of mass / wheelbase^3 [kg/m^3]; 41 to 210 for known vehicles, 1.9 for hollow robots in
+Gazebo."""
+LARGEST_ANGLE = 1.25
+"""Largest plausible road-wheel angle; the wheels of cars in CARLA turn by 70 deg [rad]."""
 FASTEST, FASTEST_MODEL = 2.5, 20.0
 """Largest plausible rate of the road-wheel angle; model cars have servos of 3 to 10 [rad/s]."""
 CRITICAL_SPEED = 100.0
@@ -84,7 +86,7 @@ def mass_warnings(chassis: ChassisParameters) -> Iterator[str]:
     """Yield sentences about mass, centre of gravity and yaw inertia."""
     m, l_f, l_r = chassis.mass, chassis.cg_to_front_axle, chassis.cg_to_rear_axle
     L = chassis.wheelbase
-    low, high = (bound * L**3 for bound in DENSITY)
+    low, high = (bound * L**3 for bound in (DENSITY if m > LIGHT else MODEL_DENSITY))
     if not low <= m <= high:
         sentence = f"chassis.mass = {m:g} kg does not fit the wheelbase {L:g} m"
         yield f"{sentence}, usual are {low:.2g} to {high:.2g} kg"

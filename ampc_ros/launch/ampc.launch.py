@@ -56,6 +56,18 @@ ARGUMENTS = {
     "noise": ("", f"noise of the measurement: {file_or('noise')}; empty: none"),
     "seed": ("0", "seed of the noise"),
     "store_estimates": ("true", "start with the car's estimates of the last drive, in real time"),
+    "follow": ("none", "path of another planner: path, timed_path or autoware; none: our own"),
+    "drive_output": (
+        "twist_stamped",
+        "type of drive_command: twist, twist_stamped, ackermann, ackermann_stamped, autoware or "
+        "carla",
+    ),
+    "feedback": (
+        "none",
+        "type of steering_report: joint_state, autoware, ackermann, ackermann_stamped; none: the "
+        "car publishes steering_state, or measures nothing",
+    ),
+    "feedback_joints": ("", "joints of steering_report whose mean is the angle; empty: the only"),
     "lock_step": ("true", "simulated time advances only when every state is answered"),
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
@@ -79,7 +91,7 @@ TYPES = dict.fromkeys(FLOATS, float) | {"seed": int, "laps": int} | dict.fromkey
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
 PICTURE = ("vehicle", "base_link_to_cg", "frame_prefix")
-GATE = ("vehicle", "guard", "settings")
+GATE = ("vehicle", "guard", "settings", "feedback", "feedback_joints")
 CONTROL = (
     "vehicle",
     "controller",
@@ -107,6 +119,7 @@ def generate_launch_description() -> LaunchDescription:
     }
     record = parameters("output", *PICTURE) | {"use_sim_time": parameter("lock_step")}
     gated = LaunchConfiguration("gate")
+    drive = {"output": parameter("drive_output")}
     renamed = [
         (topic, IfElseSubstitution(gated, new, topic))
         for topic, new in (
@@ -116,9 +129,9 @@ def generate_launch_description() -> LaunchDescription:
     ]
     nodes = [
         node("sim_vehicle", "simulator", mode | parameters(*ROUTE, *PLANT), simulated, renamed),
-        node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame")),
+        node("ampc_ros", "planner", mode | parameters(*ROUTE, "fixed_frame", "follow")),
         node("ampc_ros", "controller", mode | parameters(*CONTROL)),
-        node("ampc_ros", "gate", mode | parameters(*GATE), IfCondition(gated)),
+        node("ampc_ros", "gate", mode | parameters(*GATE) | drive, IfCondition(gated)),
         node("ampc_msgs_config", "recorder", record, IfCondition(recorded)),
     ]
     together = [

@@ -23,6 +23,8 @@ COMPLETED = "completed"
 """Reason of a run that the simulator has ended."""
 OWN_CLOCK = "/clock:=clock"
 """Remapping of the clock into the namespace of a node."""
+NODE_DIED, WRONG_SET_UP = 1, 2
+"""Exit codes of the scripts that start nodes; a node with invalid options also ends with 2."""
 LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
 
 

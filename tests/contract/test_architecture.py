@@ -18,6 +18,7 @@ OURS = {*BELOW, "tests"}
 COMMANDS = {
     "start",
     "report",
+    "connect",
     "replay",
     "recover",
     "compare",

@@ -11,11 +11,13 @@ import yaml
 from ampc_msgs_config.config import find, shipped
 from ampc_msgs_config.parameters import ChassisParameters, SteeringParameters
 from ampc_msgs_config.vehicle_file import load_section
-from ampc_msgs_config.vehicle_warnings import file_warnings, vehicle_warnings
+from ampc_msgs_config.vehicle_warnings import LIGHT, file_warnings, vehicle_warnings
 from launch_scripts.templates.vehicle_rules import DataSheet, vehicle_template
 from tests.workshop.acceptance.independent_plant import assumed_parameters
 
 PLAIN = SteeringParameters(max_angle=0.6, max_rate=0.7)
+HOLLOW = "gazebo_ackermann"
+"""Robot with a body of 1 kg: twenty times its mass is still plausible."""
 
 
 def template(mass: float, wheelbase: float, kind: str = "") -> ChassisParameters:
@@ -27,6 +29,7 @@ CARS = {
     **{
         name: load_section(ChassisParameters, find("vehicles", name), "chassis")
         for name in shipped("vehicles")
+        if name != HOLLOW
     },
     **{f"CommonRoad {number}": assumed_parameters(number)[0] for number in (1, 2, 3)},
     "van": template(2800.0, 3.3),
@@ -36,7 +39,7 @@ CARS = {
     "model car": template(3.0, 0.33),
 }
 every_car = pytest.mark.parametrize("car", CARS)
-FULL_SIZE = [name for name in CARS if name != "model car"]
+FULL_SIZE = [name for name, chassis in CARS.items() if chassis.mass > LIGHT]
 
 
 def only(chassis: ChassisParameters, steering: SteeringParameters = PLAIN) -> str:
@@ -139,7 +142,7 @@ REMEDIES: dict[str, dict[str, Any]] = {
     r"max_angle = 8.2 must lie in \[0, 1.5\] rad; it is a road-wheel angle: that of the": {
         "steering": {"max_angle": 8.2}
     },
-    "same_as = .* shipped vehicles: ordinary, paper; did you mean 'ordinary'": {
+    "same_as = .* shipped vehicles: .*ordinary, paper; did you mean 'ordinary'": {
         "same_as": "ordinray"
     },
 }

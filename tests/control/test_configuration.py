@@ -31,7 +31,8 @@ def test_every_shipped_file_goes_through_yaml_number_for_number(name: str, vehic
     if name != "preview":
         tables = ["table3", "paper_pso"] if name in DEFAULT_TABLES else [""]
     guards = cycle(sorted(shipped("guards")))
-    rest = product(sorted(shipped("controllers")), ["", *tables])
+    rest = list(product(sorted(shipped("controllers")), ["", *tables]))
+    rest = rest if vehicle in ("ordinary", "paper") else rest[:1]  # what varies is the vehicle
     for number, ((limits, table), guard) in enumerate(zip(rest, guards, strict=False)):
         config = configuration(Choices(name, vehicle, limits, table, guard, None, True, False))
         again, counted = from_yaml(to_yaml(config, number), WHERE)

@@ -24,6 +24,7 @@ from launch_scripts.identifying.bag_recording import (
     time_to_answer,
 )
 from launch_scripts.run.options import prepare_run, read_run_options
+from launch_scripts.run.processes import WRONG_SET_UP
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.html_pages import Elements, check_that_no_request_leaves
@@ -286,7 +287,7 @@ def test_odometry_that_contradicts_itself_or_the_commands_is_refused(
 def test_start_refuses_options_that_it_would_ignore(
     options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert start.main([*options, "--output", str(tmp_path / "run")]) == start.WRONG_SET_UP
+    assert start.main([*options, "--output", str(tmp_path / "run")]) == WRONG_SET_UP
     assert text in capsys.readouterr().out
 
 

@@ -52,7 +52,7 @@ class LiveTransforms:
 
 def has_other_broadcaster(node: Node) -> bool:
     """Return whether a node other than the markers of a car publishes `/tf`."""
-    publishers = node.get_publishers_info_by_topic(TF)
+    publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(TF))
     return any(each.node_name != BROADCASTER for each in publishers)
 
 

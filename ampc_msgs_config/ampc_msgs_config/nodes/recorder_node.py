@@ -96,7 +96,7 @@ class Recorder(Node):
             raise ValueError("parameter 'output' must name the folder of the bag")
         items = self.parameter("topics", [""], "Further topics to record, each as name:type.")
         further = parse_topics(items)
-        full = self.resolve_topic_name
+        full = partial(self.resolve_topic_name, only_expand=True)  # a bag has the contract's names
         self.arrivals = Arrivals(
             simulated=bool(self.get_parameter("use_sim_time").value),
             clock=full(topics.CLOCK),
@@ -137,9 +137,9 @@ class Recorder(Node):
         to_cg = self.parameter("base_link_to_cg", -1.0, text)
         text = "Prefix of the car's frames, such as car1/; empty: the namespace."
         prefix = prefix_of(self.parameter("frame_prefix", "", text), self.get_namespace())
-        recorded = set(map(self.resolve_topic_name, further))
-        transforms = self.resolve_topic_name(topics.TF) not in recorded
-        pictures = self.resolve_topic_name(topics.MARKERS) not in recorded
+        full = partial(self.resolve_topic_name, only_expand=True)
+        recorded = set(map(full, further))
+        transforms, pictures = (full(n) not in recorded for n in (topics.TF, topics.MARKERS))
         return DerivedTopics(vehicle, to_cg, prefix, transforms=transforms, pictures=pictures)
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
@@ -231,7 +231,7 @@ class Recorder(Node):
             self.recording.add_topic(topic, type_name_of(own.msg_type), profiles)
         self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
         for derived in self.derived.of(self.relative.get(topic, topic), arrival.data):
-            name = self.resolve_topic_name(derived.topic)
+            name = self.resolve_topic_name(derived.topic, only_expand=True)
             if name not in self.recording.topics:
                 self.recording.add_topic(name, derived.type_name, [plain_qos(derived.profile)])
             self.recording.write(name, derived.data, log_time_ns, arrival.publish_ns)

@@ -95,7 +95,7 @@ def from_csv(
     points = np.column_stack((numbers["x"], numbers["y"]))
     try:
         path = cached_path(points)
-        values = _speed_along(path, points, numbers, speed, limits)
+        values = speed_along(path, points, numbers, speed, limits)
         at = np.asarray(path.spacing * np.arange(len(values)))
         period = path.length if path.closed else math.inf
         profile = check_profile(SpeedProfile(True, at, values, period))
@@ -135,14 +135,25 @@ def _middle(values: Array) -> Array:
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
-def _speed_along(
+def speed_along(
     path: Path,
     points: Array,
     columns: dict[str, Array],
     speed: float | None,
     limits: SpeedLimits | None,
 ) -> Array:
-    """Return the speed at each sample of a path, within the limits [m/s]."""
+    """Return the speed at each sample of a path, within the limits (n,) [m/s].
+
+    Args:
+        path: Path of the points.
+        points: (m, 2) [m].
+        columns: Speed `v` [m/s] or time `t` [s] of each point (m,); others are not used.
+        speed: Constant speed instead [m/s].
+        limits: Limits of the speed; they define it where there is no other.
+
+    Raises:
+        ValueError: Nothing defines a speed, or the times do not increase.
+    """
     count = len(path.x)
     values: Array
     if speed is not None:

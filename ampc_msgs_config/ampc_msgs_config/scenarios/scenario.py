@@ -85,6 +85,13 @@ class Scenario(NamedTuple):
         return float(x), float(y), yaw
 
 
+class PathWithSpeed(NamedTuple):
+    """Path of another planner, and the speed along it."""
+
+    path: Path
+    speed: SpeedProfile
+
+
 class SameAs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Reference to the same key of another scenario."""
 
@@ -173,8 +180,8 @@ class SpeedPlanner:
     the last state before the car moves.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Prepare one drive of a scenario."""
+    def __init__(self, scenario: Scenario | PathWithSpeed) -> None:
+        """Prepare one drive of a scenario, or along a path of another planner."""
         self.profile, self.path = scenario.speed, scenario.path
         self.index = NOT_CAUGHT
         self.start_ns: int | None = None

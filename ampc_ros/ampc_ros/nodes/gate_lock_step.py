@@ -7,6 +7,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.types import NANOSECONDS
 from ampc_ros.gate.core import GateOutput
 from ampc_ros.gate.lock_step import LockStepGate
 from ampc_ros.gate.settings import GateState
@@ -83,4 +84,6 @@ class LockStepAnswers:
         """Publish the complete command once both parts answer the same state."""
         if self.passed and self.target and self.target.stamp_ns == self.gate.stamp_ns:
             output = self.passed._replace(speed=self.target.value)
-            self.node.outputs.publish_drive(output, self.target.stamp_ns)
+            stamp_ns = self.target.stamp_ns
+            measured = self.speeds.get(stamp_ns, output.speed)
+            self.node.outputs.publish_drive(output, stamp_ns, measured, stamp_ns / NANOSECONDS)

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.nodes import qos
-from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
+from ampc_msgs_config.nodes.base_node import NO_EVENTS, BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.parameters import (
@@ -37,8 +37,10 @@ from ampc_ros.gate.core import Gate, GateOutput
 from ampc_ros.gate.following import MeasuredPose
 from ampc_ros.gate.lock_step import LockStepGate
 from ampc_ros.gate.settings import DRIVES, STOPS, GateSettings, GateState
+from ampc_ros.nodes.drive_messages import OUTPUT, OUTPUTS
 from ampc_ros.nodes.gate_lock_step import LockStepAnswers
 from ampc_ros.nodes.gate_outputs import GateOutputs, angle_rate, steering_plan
+from ampc_ros.nodes.steering_feedback import FEEDBACK, NO_FEEDBACK, choose_feedback
 
 GUARDED = (topics.STEERING_COMMAND, topics.TARGET_SPEED, topics.STEERING_PLAN)
 """Inputs that only one node may publish."""
@@ -62,7 +64,8 @@ class GateNode(BaseNode):
         """Read vehicle, guard and settings; publish nothing before all inputs are complete."""
         super().__init__("gate")
         self.load()
-        self.outputs = GateOutputs(self, self.steering, self.chassis.wheelbase)
+        car, deceleration = (self.steering, self.chassis.wheelbase), self.gate.settings.deceleration
+        self.outputs = GateOutputs(self, *car, self.output, deceleration)
         self.command: JointState | None = None
         self.target: ros.Stamped | None = None
         self.rounds = 0
@@ -92,6 +95,12 @@ class GateNode(BaseNode):
         deceleration = declare(self, "deceleration", 2.5, text, (0.5, 8.0))
         text = "age of a steering command that stops the car [s]; -1: 2.5 periods, at least 0.12 s"
         timeout = declare(self, "command_timeout", -1.0, text, (-1.0, 5.0))
+        text = "type of drive_command"
+        self.output: str = declare(self, "output", OUTPUT, text, list(OUTPUTS))
+        text = "type of steering_report, which is published as steering_state"
+        feedback = declare(self, "feedback", NO_FEEDBACK, text, FEEDBACK)
+        text = "joints of a JointState whose mean is the angle, joined by commas; empty: the only"
+        self.feedback = choose_feedback(feedback, declare(self, "feedback_joints", "", text))
         if period <= 0.0:
             period = load(ControllerSettings, settings).sample_time
         self.chassis = load_section(ChassisParameters, vehicle, "chassis", "the gate")
@@ -111,7 +120,13 @@ class GateNode(BaseNode):
             self.listen(TwistStamped, topics.TARGET_SPEED, answers.on_speed, qos.RELIABLE)
             return
         self.listen(Odometry, topics.ODOM, self.on_odometry, qos.NEWEST)
-        self.listen(JointState, topics.STEERING_STATE, self.on_steering, qos.NEWEST)
+        if self.feedback:
+            self.measured = self.create_publisher(
+                JointState, topics.STEERING_STATE, qos.NEWEST, event_callbacks=NO_EVENTS
+            )
+            self.listen(self.feedback.kind, topics.STEERING_REPORT, self.on_report, qos.NEWEST)
+        else:
+            self.listen(JointState, topics.STEERING_STATE, self.on_steering, qos.NEWEST)
         profiles = qos.COMMAND, qos.NEWEST
         self.listen(JointTrajectory, topics.STEERING_PLAN, self.on_plan, *profiles)
         self.listen(TwistStamped, topics.TARGET_SPEED, self.on_speed, *profiles)
@@ -182,6 +197,13 @@ class GateNode(BaseNode):
         angle = ros.steering_angle(message, self.steering).value
         self.gate.take_measured(angle, time.monotonic())
 
+    def on_report(self, message: Any) -> None:
+        """Publish the measured angle of another message type, and use it."""
+        assert self.feedback
+        if state := self.feedback.state(message, self.now_ns):
+            self.on_steering(state)
+            self.measured.publish(state)
+
     def on_deadline(self, _: Any) -> None:
         """Doubt the last command: the middleware has noticed that the next one is late."""
         self.gate.suspect("deadline of steering_command missed")
@@ -224,7 +246,8 @@ class GateNode(BaseNode):
         now_ns = self.now_ns
         stamp_ns = ros.nanoseconds(command.header.stamp) if command else now_ns
         target = self.target if self.gate.state in DRIVES else None
-        self.outputs.publish_drive(output, stamp_ns)
+        now = time.monotonic()
+        self.outputs.publish_drive(output, stamp_ns, self.gate.speed_at(now), now)
         self.outputs.publish_steering(output, stamp_ns, command)
         self.outputs.publish_speed(output.speed, target.stamp_ns if target else now_ns)
 
@@ -251,8 +274,8 @@ class GateNode(BaseNode):
         """Return which inputs have more than one publisher, in one sentence; empty: none."""
         sentences = []
         for topic in GUARDED:
-            if self.count_publishers(topic) > 1:
-                each_of = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+            if self.count_publishers(full := self.resolve_topic_name(topic)) > 1:
+                each_of = self.get_publishers_info_by_topic(full)
                 nodes = [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in each_of]
                 sentences.append(f"{topic} has {len(nodes)} publishers: {', '.join(sorted(nodes))}")
         return "; ".join(sentences)

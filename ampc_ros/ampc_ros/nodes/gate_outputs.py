@@ -15,7 +15,8 @@ from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS
 from ampc_ros.gate.core import GateOutput
 from ampc_ros.gate.plan import MOST_PLAN_POINTS, PlanPoint, SteeringPlan, make_plan
-from ampc_ros.gate.settings import STOPS, GateState
+from ampc_ros.gate.settings import STOPS, GateSettings, GateState
+from ampc_ros.nodes.drive_messages import OUTPUT, DriveCommand, load_output
 
 DEADLINE, LEASE = 0.2, 0.3
 """Offered for `drive_command`: a car that requests these notices the end of the gate [s]."""
@@ -62,15 +63,29 @@ def angle_rate(message: JointState, steering: SteeringParameters) -> float:
 class GateOutputs:
     """The publishers of the gate."""
 
-    def __init__(self, node: Node, steering: SteeringParameters, wheelbase: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        steering: SteeringParameters,
+        wheelbase: float,
+        output: str = OUTPUT,
+        deceleration: float = GateSettings().deceleration,
+    ) -> None:
         """Create the publishers of state, heartbeat and stop request.
 
         Args:
             node: Owner.
-            steering: Ratio and offset of the steering topics.
+            steering: Ratio and offset of the steering topics; largest angle of the car.
             wheelbase: Wheelbase of the car [m].
+            output: Type of the complete command, one of OUTPUTS.
+            deceleration: Largest commanded deceleration [m/s^2].
+
+        Raises:
+            ValueError: The package of the type is missing.
         """
         self.node, self.steering, self.wheelbase = node, steering, wheelbase
+        self.drive_kind, self.fill = load_output(output)
+        self.deceleration = deceleration
         self.publish = partial(node.create_publisher, event_callbacks=NO_EVENTS)
         self.states = self.publish(String, topics.GATE_STATE, qos.LATCHED)
         self.heartbeat = self.publish(UInt64, topics.GATE_HEARTBEAT, qos.COMMAND)
@@ -83,13 +98,14 @@ class GateOutputs:
 
         A car that waits for a publisher then waits for controller and planner, too.
         """
-        is_complete = all(map(self.node.count_publishers, ANSWERED))
+        names = map(self.node.resolve_topic_name, ANSWERED)
+        is_complete = all(map(self.node.count_publishers, names))
         if self.is_connected or not is_complete:
             return self.is_connected
         lock_step = bool(self.node.get_parameter("lock_step").value)
         offered = qos.RELIABLE if lock_step else qos.watched_command(DEADLINE, LEASE)
         command = qos.RELIABLE if lock_step else qos.COMMAND
-        self.drive = self.publish(TwistStamped, topics.DRIVE_COMMAND, offered)
+        self.drive = self.publish(self.drive_kind, topics.DRIVE_COMMAND, offered)
         self.angles = self.publish(JointState, topics.GATE_STEERING, command)
         self.speeds = self.publish(TwistStamped, topics.GATE_SPEED, command)
         self.is_connected = True
@@ -128,8 +144,28 @@ class GateOutputs:
         """Publish the commanded speed [m/s]."""
         self.speeds.publish(ros.speed_message(ros.Stamped(stamp_ns, speed)))
 
-    def publish_drive(self, output: GateOutput, stamp_ns: int) -> None:
-        """Publish the complete command: speed and the yaw rate of the kinematic model."""
-        message = ros.speed_message(ros.Stamped(stamp_ns, output.speed))
-        message.twist.angular.z = output.speed * output.curvature(self.wheelbase)
+    def publish_drive(
+        self, output: GateOutput, stamp_ns: int, measured_speed: float, now: float
+    ) -> None:
+        """Publish the complete command, with the yaw rate of the kinematic model.
+
+        Args:
+            output: Output of the gate.
+            stamp_ns: Stamp [ns].
+            measured_speed: Speed of the car [m/s].
+            now: Steady time [s].
+        """
+        message = self.drive_kind()
+        command = DriveCommand(
+            ros.time_message(stamp_ns),
+            output.angle,
+            output.rate,
+            output.speed,
+            output.speed * output.curvature(self.wheelbase),
+            measured_speed,
+            self.deceleration,
+            self.steering.max_angle,
+            now,
+        )
+        self.fill(message, command)
         self.drive.publish(message)

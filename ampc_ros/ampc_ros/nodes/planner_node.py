@@ -1,5 +1,6 @@
 """Node `planner`: publishes path and target speed of a drive. `ros2 run ampc_ros planner`.
 
+With the parameter `follow`, the path is that of another planner, and only the speed is ours.
 In real time it brakes while a stop is requested, while the controller is silent, and after a
 second publisher of one of its topics. In lock-step it does not: the order of a request and the
 state of the same tick is undefined there, and a drive must be repeatable.
@@ -24,10 +25,19 @@ from ampc_msgs_config.nodes.scenario_parameters import declare_scenario
 from ampc_msgs_config.nodes.silent_clock import SilentClock
 from ampc_msgs_config.nodes.sole_sources import SoleSources
 from ampc_msgs_config.paths.path import NOT_CAUGHT
-from ampc_msgs_config.scenarios.scenario import MOVING, SpeedPlanner
+from ampc_msgs_config.scenarios.scenario import MOVING, PathWithSpeed, Scenario, SpeedPlanner
 from ampc_msgs_config.scenarios.scenario_yaml import document, scenario_content
-from ampc_msgs_config.types import ERROR, NANOSECONDS, OK, STALE, WARN, VehicleState
+from ampc_msgs_config.types import ERROR, NANOSECONDS, OK, STALE, WARN, Array, VehicleState
 from ampc_ros.nodes.braking import Braking, StopRequests
+from ampc_ros.nodes.fixed_frame import FixedFrame
+from ampc_ros.nodes.followed_path import (
+    AUTOWARE,
+    FOLLOW,
+    NO_ROUTE,
+    FollowedPath,
+    Follower,
+    declare_limits,
+)
 from ampc_ros.supervision.checks import StateFilter
 
 SILENCE = 0.5
@@ -46,19 +56,30 @@ class PlannerNode(BaseNode):
     def __init__(self) -> None:
         """Load the drive; publish its path as soon as the clock runs."""
         super().__init__("planner")
-        self.scenario = declare_scenario(self)
-        self.plan = SpeedPlanner(self.scenario)
-        self.plan.target_speed(VehicleState(0, *self.scenario.start, 0.0, 0.0, 0.0))  # compiles
+        text = "path and speed of another planner; none: those of scenario or path"
+        follow = declare(self, "follow", NO_ROUTE, text, FOLLOW)
+        self.scenario: Scenario | PathWithSpeed | None
+        self.plan: SpeedPlanner | None = None
+        self.follower: Follower | None = None
+        if follow == NO_ROUTE:
+            self.scenario = declare_scenario(self)
+            self.plan = SpeedPlanner(self.scenario)
+            self.plan.target_speed(VehicleState(0, *self.scenario.start, 0.0, 0.0, 0.0))  # compiles
+        else:
+            self.scenario, limits = None, declare_limits(self, follow)
         self.filter, self.braking, self.requests = StateFilter(), Braking(), StopRequests()
         self.stop, self.reset_at = "", -math.inf
         self.newest: TwistStamped | None = None
         self.path_is_out = False
         text = "frame of path and odom; empty: that of the first odom"
         self.frame_id: str = declare(self, "fixed_frame", "", text)
-        self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
+        if follow in (NO_ROUTE, AUTOWARE):
+            self.paths = self.create_publisher(PathMessage, ros.REFERENCE_PATH, ros.LATCHED)
         self.speeds = self.create_publisher(TwistStamped, ros.TARGET_SPEED, ros.RELIABLE)
         qos = ros.RELIABLE if self.lock_step else ros.NEWEST
         self.inputs = Inputs(self)
+        if follow != NO_ROUTE:
+            self.follower = Follower(self, self.inputs, follow, limits, self.on_path, self.reject)
         self.inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         heard = {ros.ODOM: Odometry, ros.TARGET_SPEED: TwistStamped}
         heard[ros.STEERING_COMMAND] = JointState
@@ -70,26 +91,46 @@ class PlannerNode(BaseNode):
             self.inputs.add(Bool, ros.STOP_REQUEST, self.on_stop_request, *ros.ANY_PUBLISHER)
             self.create_timer(BRAKING_PERIOD, self.on_braking_timer, clock=steady)
             self.create_service(Trigger, "~/reset_stop", self.on_reset_stop)
-        self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
-        text = document({"scenario": scenario_content(self.scenario)})
-        self.configurations.publish(String(data=text))
         self.clock_check = SilentClock(self)
         # In real time, the clock that no other clock can stop.
         self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else steady)
+        if isinstance(self.scenario, Scenario):
+            self.publish_configuration(self.scenario)
+        else:
+            self.get_logger().info(f"ready: follow = {follow}")
+
+    def publish_configuration(self, scenario: Scenario) -> None:
+        """Publish the drive, and its path as soon as the clock runs."""
+        self.configurations = self.create_publisher(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
+        text = document({"scenario": scenario_content(scenario)})
+        self.configurations.publish(String(data=text))
         if self.now_ns > 0:
-            self.publish_path(self.now_ns)
-        self.get_logger().info(f"ready: {self.scenario.name}, {self.scenario.duration:g} s")
+            self.publish_path(scenario.points, self.now_ns)
+        self.get_logger().info(f"ready: {scenario.name}, {scenario.duration:g} s")
 
     @property
     def stop_requested(self) -> bool:
         """Whether the planner brakes."""
         return bool(self.stop)
 
-    def publish_path(self, stamp_ns: int) -> None:
+    def publish_path(self, points: Array, stamp_ns: int) -> None:
         """Publish the path, latched."""
-        frame_id = self.frame_id or ros.MAP
-        self.paths.publish(ros.path_message(self.scenario.points, stamp_ns, frame_id))
+        self.paths.publish(ros.path_message(points, stamp_ns, self.frame_id or ros.MAP))
         self.path_is_out = True
+
+    def on_path(self, followed: FollowedPath) -> None:
+        """Use the path of another planner; the position on it is looked for."""
+        if followed.points is not None:
+            self.points, self.scenario = followed.points, followed.route
+            self.plan = SpeedPlanner(followed.route) if followed.route else None
+        if self.follower and self.follower.kind == AUTOWARE and self.scenario:
+            self.publish_path(self.points, followed.stamp_ns)
+
+    def destroy_node(self) -> None:
+        """End the process of the follower with the node."""
+        if self.follower:
+            self.follower.close()
+        super().destroy_node()
 
     def on_odometry(self, message: Odometry) -> None:
         """Publish the target speed for a state; the same state again repeats the message."""
@@ -103,12 +144,17 @@ class PlannerNode(BaseNode):
             return
         is_first, frame_id = not self.frame_id, message.header.frame_id
         self.frame_id = self.frame_id or frame_id
-        if not self.path_is_out or (is_first and frame_id != ros.MAP):
-            self.publish_path(state.stamp_ns)
-        self.speeds.publish(speed)
+        if self.follower and self.follower.frame is None:
+            self.follower.use_frame(FixedFrame(self, self.frame_id))
+        if isinstance(self.scenario, Scenario) and (
+            not self.path_is_out or (is_first and frame_id != ros.MAP)
+        ):
+            self.publish_path(self.scenario.points, state.stamp_ns)
+        if speed:
+            self.speeds.publish(speed)
 
-    def speed_message(self, state: VehicleState) -> TwistStamped:
-        """Return the target speed for a state.
+    def speed_message(self, state: VehicleState) -> TwistStamped | None:
+        """Return the target speed for a state; None: there has never been a path.
 
         Raises:
             ValueError: The state contradicts the earlier ones.
@@ -120,13 +166,17 @@ class PlannerNode(BaseNode):
         if not check.accepted:
             raise ValueError(check.reason)
         if last is None or (check.reset and (state.stamp_ns < last.stamp_ns or is_at_rest(state))):
-            self.plan = SpeedPlanner(self.scenario)
+            self.plan = SpeedPlanner(self.scenario) if self.scenario else None
             self.get_logger().info("the drive starts")
         elif check.reset:
             self.get_logger().warning(f"{check.reason}: the position on the path is looked for")
-            self.plan.index = NOT_CAUGHT
-        planned = self.plan.target_speed(state)
-        speed = self.braking.limited(planned, state, stop=self.stop_requested)
+            if self.plan:
+                self.plan.index = NOT_CAUGHT
+        if self.plan is None and self.newest is None:
+            return None
+        planned = self.plan.target_speed(state) if self.plan else max(state.v_x, 0.0)
+        stop = self.stop_requested or self.plan is None
+        speed = self.braking.limited(planned, state, stop=stop)
         self.newest = ros.speed_message(ros.Stamped(state.stamp_ns, speed))
         return self.newest
 
@@ -192,6 +242,9 @@ class PlannerNode(BaseNode):
         """Return level and sentence of the diagnostics."""
         if self.sources.conflict:
             return ERROR, f"{self.sources.conflict}: braking"
+        if self.scenario is None:
+            assert self.follower
+            return STALE, f"waiting for {self.follower.topic}"
         if self.newest is None:
             return STALE, "waiting for odom"
         age = (self.now_ns - ros.nanoseconds(self.newest.header.stamp)) / NANOSECONDS

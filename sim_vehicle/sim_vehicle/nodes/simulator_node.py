@@ -33,8 +33,8 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
-REAL_TIME_PERIOD = 0.02
-"""Period of the states in real-time mode [s]."""
+REAL_TIME_RATE = 50.0
+"""Default rate of the states in real-time mode [Hz]."""
 LONGEST_CATCH_UP = 0.5
 """Longest time that is caught up at once; the car stands still during a longer pause of this
 process or jump of the clock [s]."""
@@ -59,6 +59,8 @@ class SimulatorNode(BaseNode):
         self.place_at_start()
         limits = (0.1, 3600.0)
         self.time_out = declare(self, "time_out", 10.0, "timeout of a command [s]", limits)
+        text = "states per second in real time [Hz]"
+        self.rate: float = declare(self, "rate", REAL_TIME_RATE, text, (10.0, 200.0))
         self.start_time_out = declare(
             self, "start_time_out", 60.0, "timeout of the start of other nodes [s]", limits
         )
@@ -142,7 +144,7 @@ class SimulatorNode(BaseNode):
             self.create_timer(RESEND, self.on_unanswered, clock=self.wall)
             self.publish_state()
         else:
-            self.create_timer(REAL_TIME_PERIOD, self.on_real_time)
+            self.create_timer(1.0 / self.rate, self.on_real_time)
 
     def on_answer(self, topic: str, unpack: Callable[[Any], ros.Stamped], message: Any) -> None:
         """Store a steering command or a target speed; in lock-step advance after the second."""

@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from launch_scripts.reporting.pages import markdown_table
+from tests.default_signals import restore_signals
 from tests.workshop.attacks.attempts import Attempt, Choice, one_line
 
 AREAS = {
@@ -50,6 +51,7 @@ Counts = dict[str, dict[str, int]]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the attacks and return the exit code."""
+    restore_signals()
     chosen, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
     begin = time.monotonic()
     if chosen.only:

@@ -52,7 +52,9 @@ class Session:
         auditor.publish_path()
 
     def start(self, name: str) -> None:
-        """Start a node, in the place of an earlier one."""
+        """Start a node in the place of an earlier one; the state of a gate is forgotten."""
+        if name == "gate":
+            self.auditor.state = ""
         self.nodes.start(name, MODULES[name], self.parameters[name])
 
     def kill(self, name: str, number: int = signal.SIGKILL) -> int:
