@@ -67,13 +67,15 @@ def test_every_argument_of_the_launch_file_is_used_and_has_the_default_of_the_no
 ) -> None:
     given = started(launch_file)
     used = set().union(*given.values()) - {"use_sim_time", "wait_for_recorder"}
-    assert used | {"namespace", "simulate", "gate"} == launch_file.ARGUMENTS.keys()
+    others = {"namespace", "simulate", "gate", "drive_output"}
+    assert used | others == launch_file.ARGUMENTS.keys()
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
             add(executor, node)
             for parameter in given[name] - {"wait_for_recorder"} - OF_LAUNCH:
-                default, _ = launch_file.ARGUMENTS[parameter]
+                argument = "drive_output" if parameter == "output" else parameter  # of the gate
+                default, _ = launch_file.ARGUMENTS[argument]
                 kind = launch_file.TYPES.get(parameter, str)
                 value = default == "true" if kind is bool else kind(default)
                 assert node.get_parameter(parameter).value == value
