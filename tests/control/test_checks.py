@@ -84,6 +84,7 @@ def test_numbers_that_are_not_finite_are_refused_by_name(name: str, value: float
 RANGES = {
     "x": 1.0e8,
     "y": 1.0e8,
+    "yaw": 1.0e6,
     "v_x": 100.0,
     "v_y": 100.0,
     "yaw_rate": 10.0,

@@ -30,6 +30,8 @@ MOST_STATES = 1000
 """Largest number of states in a window."""
 MAX_POSITION = 1.0e8
 """Largest coordinate in `map`, beyond any projection of the Earth [m]."""
+MAX_HEADING = 1.0e6
+"""Largest heading, for callers that do not wrap it; beyond, turns are lost in rounding [rad]."""
 MAX_SPEED = 100.0
 """Largest component of the velocity [m/s]."""
 MAX_YAW_RATE = 10.0
@@ -51,7 +53,7 @@ CAUSES = (
 RANGES = {
     "x": (MAX_POSITION, "m"),
     "y": (MAX_POSITION, "m"),
-    "yaw": (math.inf, "rad"),
+    "yaw": (MAX_HEADING, "rad"),
     "v_x": (MAX_SPEED, "m/s"),
     "v_y": (MAX_SPEED, "m/s"),
     "yaw_rate": (MAX_YAW_RATE, "rad/s"),
