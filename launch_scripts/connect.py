@@ -130,7 +130,8 @@ def start_stack(nodes: Processes, stack: Stack, options: argparse.Namespace) -> 
     renamed = stack.remappings | namespace
     if options.output:
         times = {"use_sim_time": bool(stack.parameters.get("use_sim_time", False))}
-        record = {"output": str(options.output)} | times
+        car = {k: v for k, v in stack.parameters.items() if k in ("vehicle", "base_link_to_cg")}
+        record = {"output": str(options.output)} | times | car
         nodes.start("recorder", "ampc_msgs_config.nodes.recorder_node", record, renamed)
     for name, module in NODES.items():
         nodes.start(name, module, stack.parameters, renamed)

@@ -41,6 +41,8 @@ def read_report_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--namespace", help="of the topics, as /car1; default: the first steered")
     add("--odom", metavar="TOPIC", help="odometry to evaluate; default: odom in the namespace")
     add("--vehicle", help="name or YAML file, for a bag without configuration")
+    text = "also write the drive of one bag for the viewer Rerun; needs rerun-sdk"
+    add("--rerun", type=Path, metavar="FILE.rrd", help=text)
     add_format_option(parser, "time series, charts, or charts on the pages of one file")
     return parser.parse_args(arguments)
 
@@ -52,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = f"report {shlex.join(sys.argv[1:] if arguments is None else arguments)}"
     thresholds = options.thresholds.name if options.thresholds else ""
     try:
+        if options.rerun and len(options.bags) > 1:
+            raise ValueError(f"--rerun takes one bag, not {len(options.bags)}")
         drives = judge_bags(options)
         files = [page_file(options.output, options.bags[0])]
         write_report(files[0], drives, thresholds, f"Written by {command}")
@@ -60,6 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from launch_scripts.reporting.export import export_report  # loads matplotlib
 
             files += export_report(files[0], drives, options.format)
+        if options.rerun:
+            from launch_scripts.reporting.rerun_file import write_rerun  # few reports need it
+
+            write_rerun(options.rerun, drives[0])
     except (ValueError, OSError) as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG
@@ -74,6 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         heads = ["threshold", "bound", *names]
         console.print(terminal_table(heads, verdict_rows(drives), "lr", thresholds))
     console.print(f"{', '.join(file.name for file in files)}: {files[0].parent}", markup=False)
+    if options.rerun:
+        console.print(f"{options.rerun}: open it with `rerun {options.rerun}`", markup=False)
     return FAILED if all_passed(drives) is False else 0
 
 

@@ -35,6 +35,7 @@ setup(
             "reproduce = launch_scripts.reproduce:main",
             "start = launch_scripts.start:main",
             "tune = launch_scripts.tune:main",
+            "watch = launch_scripts.watch:main",
         ]
     },
 )

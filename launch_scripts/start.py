@@ -26,7 +26,6 @@ from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES
-from ampc_msgs_config.scenarios.scenario import Scenario
 from launch_scripts.run.options import (
     Run,
     prepare_run,
@@ -109,10 +108,10 @@ def interrupt(number: int, _: Any) -> NoReturn:
 def drive_run(run: Run, console: Console) -> RunEnded:
     """Start the nodes, wait for the end of the drive, end the nodes, and return the reason."""
     try:
-        with Processes(run.folder / "log") as nodes:
+        with Processes(run.folder / "log", run.options["namespace"]) as nodes:
             try:
                 start_nodes(nodes, run)
-                follow(nodes, run.scenario, console)
+                follow(nodes, run, console)
             except RunEnded as ended:
                 print_error(console, ended)
                 if ended.code == NODE_DIED and run.options["real_time"]:
@@ -138,7 +137,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
     plant["vehicle"] = options["true_vehicle"] or options["vehicle"]
-    record = {"output": str(run.bag), "use_sim_time": lock_step}
+    record = {"output": str(run.bag), "use_sim_time": lock_step, "vehicle": options["vehicle"]}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
     renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTED} if options["faults"] else {}
     if options["faults"]:
@@ -159,13 +158,17 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
 
 
-def follow(nodes: Processes, scenario: Scenario, console: Console) -> None:
+def follow(nodes: Processes, run: Run, console: Console) -> None:
     """Show the progress until the simulator has ended the drive."""
     from launch_scripts.nodes.drive_watch import DriveWatch  # needs the environment set by main()
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))
     printed: set[str] = set()
-    with DriveWatch() as watch, Progress(*columns, TimeElapsedColumn(), console=console) as bar:
+    scenario, namespace = run.scenario, run.options["namespace"]
+    with (
+        DriveWatch(namespace) as watch,
+        Progress(*columns, TimeElapsedColumn(), console=console) as bar,
+    ):
         task = bar.add_task(scenario.name, total=scenario.duration, at="starting")
         while not is_over(nodes):
             watch.look(0.1)

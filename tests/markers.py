@@ -18,7 +18,15 @@ MANY_SWEEPS = ("2000", "enough_sweeps")
 """Parts of the names of tests that solve hundreds of problems with thousands of sweeps."""
 ROS = {
     *("test_environment", "test_guard_coverage", "test_left_processes", "test_loaded_modules"),
-    *("test_recording", "test_report_browser", "test_start", "test_startup", "test_tune"),
+    *(
+        "test_recording",
+        "test_report_browser",
+        "test_rerun",
+        "test_start",
+        "test_startup",
+        "test_tune",
+        "test_watch",
+    ),
     "test_a_process_without_a_home_compiles_into_the_temporary_folder",
     "test_an_installed_copy_of_the_packages_uses_the_code_of_the_source_tree",
     "test_another_process_replays_the_same_bits",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ampc_msgs_config.compiled import compiled
-from ampc_msgs_config.quaternions import yaw_of
+from ampc_msgs_config.quaternions import quaternion_of, yaw_of
 from ampc_msgs_config.types import VehicleState
 
 
@@ -21,12 +21,8 @@ def wrap_angle(angle: float) -> float:
     return angle - math.tau * turns
 
 
-@compiled
-def quaternion_from_yaw(yaw: float) -> tuple[float, float]:
-    """Return the z and w components of the unit quaternion of a rotation about z."""
-    return math.sin(yaw / 2), math.cos(yaw / 2)
-
-
+quaternion_from_yaw = compiled(quaternion_of)
+"""`quaternions.quaternion_of`, compiled."""
 yaw_from_quaternion = compiled(yaw_of)
 """`quaternions.yaw_of`, compiled."""
 

@@ -8,6 +8,11 @@ def yaw_of(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
+def quaternion_of(yaw: float) -> tuple[float, float]:
+    """Return the z and w components of the unit quaternion of a rotation about z."""
+    return math.sin(yaw / 2), math.cos(yaw / 2)
+
+
 def tilt_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, float]:
     """Return roll and pitch of a quaternion in the z-y-x convention [rad]."""
     length = x * x + y * y + z * z + w * w

@@ -66,6 +66,7 @@ ARGUMENTS = {
     "time_out": ("10.0", "timeout for a node's answer [s]"),
     "start_time_out": ("180.0", "timeout for the start of all nodes, with compilation [s]"),
     "namespace": ("", "namespace of nodes and topics"),
+    "frame_prefix": ("", "prefix of the car's frames, such as car1/; empty: the namespace"),
     "use_sim_time": ("false", "follow /clock, as beside another simulator or a played bag"),
     "params_file": (
         "",
@@ -100,6 +101,7 @@ TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 ROUTE = ("vehicle", "scenario", "path", "speed", "lateral_acceleration", "laps", "columns")
 PLANT = ("friction", "noise", "seed", "time_out", "start_time_out")
+PICTURE = ("vehicle", "base_link_to_cg", "frame_prefix")
 GATE = ("vehicle", "guard", "settings", "feedback", "feedback_joints")
 CONTROL = (
     "vehicle",
@@ -181,16 +183,17 @@ def nodes_for(values: dict[str, Any]) -> dict[str, Node]:
             executable=name,
             namespace=values["namespace"],
             parameters=[typed, *filter(None, [values["params_file"]])],
-            remappings=renamed,
+            remappings=[*renamed, *clock],
             output="screen",
             **options,
         )
 
     lock_step, simulated_time = values["lock_step"], values["use_sim_time"]
+    clock = [(topics.CLOCK, "clock")] if lock_step else []  # each car has its own
     mode = chosen("lock_step", "use_sim_time", wait_for_recorder=bool(values["output"]))
     owner = mode | {"use_sim_time": simulated_time and not lock_step}
-    record = chosen("output", use_sim_time=simulated_time or lock_step)
-    look = chosen("lock_step", "use_sim_time", "vehicle", "base_link_to_cg")
+    record = chosen("output", *PICTURE, use_sim_time=simulated_time or lock_step)
+    look = chosen("lock_step", "use_sim_time", *PICTURE)
     from_gate = [
         (topics.STEERING_COMMAND, topics.GATE_STEERING),
         (topics.TARGET_SPEED, topics.GATE_SPEED),

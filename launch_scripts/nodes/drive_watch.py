@@ -14,12 +14,16 @@ from ampc_msgs_config.types import NANOSECONDS
 class DriveWatch:
     """Subscriber of `odom`; a context manager."""
 
+    def __init__(self, namespace: str = "") -> None:
+        """Store the namespace of the drive."""
+        self.namespace = namespace
+
     def __enter__(self) -> "DriveWatch":
         """Create the node; signal handlers of the caller remain."""
         self.elapsed = self.speed = 0.0
         self.start_ns: int | None = None
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("start")
+        self.node = rclpy.create_node("start", namespace=self.namespace)
         self.node.create_subscription(Odometry, ros.ODOM, self.on_odometry, ros.NEWEST)
         return self
 

@@ -45,6 +45,8 @@ TIME_LAYOUT = {
     "legend": {"y": 1.0},
 }
 """Layout of the charts over time."""
+EDGE = 0.05
+"""Space beyond the lines of a row, per its range."""
 LONG_GAP = 5.0
 """A line is interrupted where data are missing for more than this many median steps."""
 DIGITS = 4
@@ -93,7 +95,7 @@ def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.F
                 figure.add_trace(trace, row, 1)
         scale = log_ticks(figure, row) if axis.log else {}
         if axis.visible:
-            scale["autorangeoptions"] = {"include": list(axis.visible)}
+            scale["autorangeoptions"] = {"include": [*axis.visible, *edges_of(figure, row)]}
             scale["rangemode"] = "nonnegative" if min(axis.visible) == 0.0 else "normal"
         figure.update_yaxes(title_text=axis.title, **scale, row=row)
     # With several drives, colours are drives: one legend entry per dash explains the quantities.
@@ -109,7 +111,8 @@ def draw_panel(panel: Panel, drives: Sequence[JudgedDrive], points: int) -> go.F
 def line_of(series: Series, color: str, several: bool) -> go.Scatter:
     """Return a trace without points in the style of a series."""
     dash = CHART_DASHES[series.kind % len(CHART_DASHES)] if several or series.bound else "solid"
-    shape, width = "hv" if series.step else "linear", 1.2 if series.bound else 1.8
+    shape = "hv" if series.step else "linear"
+    width = 1.2 if series.bound else 6.0 if series.wide else 1.8
     return go.Scatter(
         name=series.label,
         legendgroup=series.label,
@@ -118,11 +121,23 @@ def line_of(series: Series, color: str, several: bool) -> go.Scatter:
     )
 
 
+def edges_of(figure: go.Figure, row: int) -> tuple[float, float]:
+    """Return values a little beyond those of a row's lines, so that no line is on the edge."""
+    values = [value for value in values_of(figure, row) if value is not None] or [0.0]
+    low, high = min(*values, 0.0), max(*values, 0.0)
+    margin = EDGE * (high - low)
+    return low - margin if low < 0.0 else 0.0, high + margin
+
+
+def values_of(figure: go.Figure, row: int) -> list[float | None]:
+    """Return the values of all lines of a row."""
+    axis = "y" if row == 1 else f"y{row}"
+    return [value for line in figure.data if line.yaxis == axis for value in line.y]
+
+
 def log_ticks(figure: go.Figure, row: int) -> dict[str, Any]:
     """Return a logarithmic scale with ticks 1, 2, 5 of each decade that a row's lines reach."""
-    axis = "y" if row == 1 else f"y{row}"
-    lines = [line.y for line in figure.data if line.yaxis == axis]
-    values = [value for line in lines for value in line if value and value > 0]
+    values = [value for value in values_of(figure, row) if value and value > 0]
     low, high = min(values, default=1.0), max(values, default=1.0)
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     steps = (1, 2, 5) if len(decades) < 4 else (1,)

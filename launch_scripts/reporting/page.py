@@ -17,17 +17,19 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.metrics import METRICS
+from ampc_msgs_config.metrics import METRICS, Metric, Value
 from ampc_msgs_config.types import RUNGS
 from launch_scripts.reporting.charts import OLDEST, draw_events, draw_map, draw_panel
 from launch_scripts.reporting.drive import SUMMARY, JudgedDrive
-from launch_scripts.reporting.pages import render, to_json
+from launch_scripts.reporting.pages import SHORT_LENGTH, render, to_json
 from launch_scripts.reporting.panels import EVENTS, PALETTE, PANELS, Panel
 
 MAX_BYTES = 2_950_000
 """Largest size of the page."""
 POINTS, FEWEST_POINTS = 2000, 60
 """Points of a line: first choice, which is halved until the page is small enough, and smallest."""
+NEVER_FOLDED = {EVENTS.key, "cross_track", "heading", "steering", "speed"}
+"""Charts that are open also where all their lines are constant."""
 NO_DATA = "\u2013"
 YEAR_2000 = 946_684_800
 """Earlier stamps are times of a simulation, not dates [s]."""
@@ -140,7 +142,10 @@ def fill_page(drives: Sequence[JudgedDrive], thresholds: str, command: str, poin
         thresholds=thresholds,
         verdict_rows=verdict_rows(drives),
         summary=summary_rows(drives),
-        charts=[(panel, describe_chart(panel, figure)) for panel, figure in charts],
+        charts=[
+            (panel, describe_chart(panel, figure), constant_values(panel, figure))
+            for panel, figure in charts
+        ],
         empty=empty,
         has_events=events is not None,
         has_ticks=any("rung" in drive.record.tick for drive in drives),
@@ -167,6 +172,20 @@ def describe_chart(panel: Panel, figure: go.Figure) -> str:
     return f"{panel.title} over time. {'; '.join(dict.fromkeys(names))}."
 
 
+def constant_values(panel: Panel, figure: go.Figure) -> str:
+    """Return the value of each line of a chart without any change; empty: something changes."""
+    values: dict[str, None] = {}
+    for line in figure.data:
+        numbers = {value for value in line.y if value is not None}
+        if panel.key in NEVER_FOLDED or len(numbers) > 1:
+            return ""
+        axis = figure.layout[(line.yaxis or "y").replace("y", "yaxis", 1)]
+        _, bracket, unit = str(axis.title.text).partition(" [")
+        unit = f" {unit.rstrip(']')}" if bracket else ""
+        values |= {f"{line.name} {number:.4g}{unit}": None for number in numbers}
+    return ", ".join(values)
+
+
 def compress(text: str) -> str:
     """Return text as the page expects it: gzip, then base64."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
@@ -178,11 +197,20 @@ def summary_rows(drives: Sequence[JudgedDrive]) -> Rows:
     for metric in map(METRICS.__getitem__, SUMMARY):
         values = [drive.metrics[metric.key] for drive in drives]
         if any(value is not None for value in values):
-            shown = [v if isinstance(v, int) or v is None else v * metric.scale for v in values]
+            scale, unit = scale_of(metric, values)
+            shown = [v if isinstance(v, int) or v is None else v * scale for v in values]
             note = Markup("<small>{}</small>").format(metric.note) if metric.note else ""
             cells = [NO_DATA if value is None else value for value in shown]
-            rows.append([[metric.title, note], *cells, metric.unit])
+            rows.append([[metric.title, note], *cells, unit])
     return rows
+
+
+def scale_of(metric: Metric, values: Sequence[Value]) -> tuple[float, str]:
+    """Return factor and unit in which values of all drives are readable: short lengths in mm."""
+    largest = max((abs(value) for value in values if value is not None), default=0.0)
+    if metric.unit == "m" and largest < SHORT_LENGTH:
+        return 1e3 * metric.scale, "mm"
+    return metric.scale, metric.unit
 
 
 def verdict_rows(drives: Sequence[JudgedDrive]) -> Rows:
@@ -217,7 +245,7 @@ def facts_of(drive: JudgedDrive) -> Iterator[tuple[str, str]]:
     gains = columns.configuration.get("controller", {}).get("gains")
     origin = gains.get("provenance") if isinstance(gains, Mapping) else None
     if isinstance(origin, Mapping) and "command" in origin:
-        yield "Gains", str(origin["command"])[:200]
+        yield "Gains tuned by", str(origin["command"])[:200]
     simulator = columns.configuration.get("simulator", {})
     scenario = simulator.get("scenario")
     if isinstance(scenario, Mapping) and "name" in scenario:

@@ -6,6 +6,7 @@
 import argparse
 import base64
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,10 @@ from rich.text import Text
 ROOT = Path(__file__).parents[1]
 """Folder of the templates; a template is named relative to it: `comparing/compare.html`."""
 FORMATS = ("csv", "svg", "pdf")
+NO_NUMBER = "\u2013"
+"""Shown in place of a missing value."""
+SHORT_LENGTH = 0.0995
+"""Lengths below this are shown in millimetres [m]."""
 Part = str | float
 """Text, which is escaped unless it is `Markup`, or a number, which is formatted by `num`."""
 
@@ -127,6 +132,43 @@ def source(file: str) -> Markup:
     return Markup((ROOT / file).read_text(encoding="utf-8"))  # noqa: S704 (a file of this package)
 
 
+def length_text(metres: float) -> str:
+    """Return a length: millimetres below 0.1 m, such as `4.6 mm`, otherwise metres."""
+    if not math.isfinite(metres):
+        return NO_NUMBER
+    if abs(metres) < SHORT_LENGTH:
+        return f"{rounded_text(1e3 * metres)} mm"
+    return f"{rounded_text(metres)} m"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a short time: microseconds, milliseconds or seconds."""
+    if not math.isfinite(seconds):
+        return NO_NUMBER
+    for factor, unit in ((1e6, "\u00b5s"), (1e3, "ms")):
+        if abs(seconds) * factor < 995.0:
+            return f"{rounded_text(factor * seconds)} {unit}"
+    return f"{rounded_text(seconds)} s"
+
+
+def rounded_text(value: float) -> str:
+    """Return a number with at most two significant digits behind the point, without an exponent."""
+    digits = 0 if abs(value) >= 99.5 else 1 if abs(value) >= 0.995 else 2
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if not float(text) else text
+
+
+def breakable(name: str) -> Markup:
+    """Return a name that a narrow page breaks after `_` and `/` only."""
+    return Markup(re.sub(r"([_/])", r"\1<wbr>", str(escape(name))))  # noqa: S704 (escaped)
+
+
+def command_words(command: str) -> Markup:
+    """Return a command that a narrow page breaks between its words only."""
+    word = Markup('<span class="word">{}</span>')
+    return Markup(" ").join(word.format(each) for each in command.split())
+
+
 def svg_url(svg: str) -> str:
     """Return a `data:` URL of an SVG picture."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
@@ -140,5 +182,6 @@ ENVIRONMENT = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url}
+ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url, "length_text": length_text}
+ENVIRONMENT.filters |= {"breakable": breakable, "command": command_words}
 ENVIRONMENT.globals["source"] = source

@@ -57,6 +57,8 @@ class Series(NamedTuple):
     """Whether a value holds until the next one."""
     bound: bool = False
     """Whether the line is a limit of the others."""
+    wide: bool = False
+    """Whether the line is visible behind another one that equals it."""
 
     def color(self, drive: int, drives: int) -> str:
         """Return the colour: by drive, or by kind where there is only one drive."""
@@ -133,7 +135,8 @@ def steering(drive: JudgedDrive) -> Iterator[Series]:
 
 def speeds(drive: JudgedDrive) -> Iterator[Series]:
     """Yield target speed and measured speed."""
-    yield from samples(drive, topics.TARGET_SPEED, "target", 1)
+    for series in samples(drive, topics.TARGET_SPEED, "target", 4):
+        yield series._replace(wide=True)
     yield from samples(drive, topics.ODOM, "speed", column=4)
 
 

@@ -3,7 +3,12 @@ const RATES = [0.5, 1, 2, 5, 10, 20, 50, 100];
 const PRINT_WIDTH = 680; // A4 between the margins [px]
 const NEAR = 25; // half the width of the close-up [m]
 const HEIGHTS = [260, 560]; // smallest and largest height of the map [px]
-const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+const NARROW = 900; // below this width the tool bar would cover legends [px]
+const CONFIG = {
+  displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"],
+  displayModeBar: window.innerWidth < NARROW ? false : "hover",
+};
+const AXIS_HEIGHT = 52; // numbers and title of the x axis [px]
 const at = (id) => document.getElementById(id);
 const plots = [];
 let report, now = 0, playing = false, drawing = false, syncing = false;
@@ -177,28 +182,43 @@ function heightOf(element, data) {
   return Math.min(Math.max(wanted, HEIGHTS[0]), HEIGHTS[1]);
 }
 
+// Bottom margin for the legend, which has more rows on a narrow page.
+function fitLegend() {
+  const map = at("map"), legend = map.querySelector(".legend"), margin = map._fullLayout.margin.b;
+  const wanted = Math.ceil(legend.getBBox().height) + AXIS_HEIGHT;
+  if (wanted === margin) return Promise.resolve();
+  return Plotly.relayout(map, { "margin.b": wanted, height: map._fullLayout.height + wanted - margin });
+}
+
 async function drawMaps() {
   const { data, layout } = report.map, config = { ...CONFIG, scrollZoom: true };
   const height = heightOf(at("map"), data), near = structuredClone({ data, layout });
   await Plotly.newPlot(at("map"), data, { ...layout, height }, config);
+  at("map").on("plotly_afterplot", fitLegend); // also after a change of the width
+  await fitLegend();
   for (const axis of [near.layout.xaxis, near.layout.yaxis]) axis.range = [-NEAR, NEAR];
   Object.assign(near.layout, { height: Math.max(height, 300), showlegend: false });
   for (const drive of report.drives) near.data[drive.trace + 2].visible = false;
   await Plotly.newPlot(at("near"), near.data, near.layout, config);
 }
 
+async function drawPlot(plot, figure) {
+  await Plotly.newPlot(plot, figure.data, figure.layout, CONFIG);
+  plot.cursor = document.createElement("div");
+  plot.cursor.className = "cursor";
+  plot.append(plot.cursor);
+  plot.on("plotly_relayout", (change) => onZoom(plot, change));
+  plot.on("plotly_click", (click) => show(click.points[0].x));
+  plot.on("plotly_afterplot", moveCursors);
+  plots.push(plot);
+}
+
 async function draw() {
   await drawMaps();
   for (const [key, figure] of Object.entries(report.plots)) {
-    const plot = at(`plot-${key}`);
-    await Plotly.newPlot(plot, figure.data, figure.layout, CONFIG);
-    plot.cursor = document.createElement("div");
-    plot.cursor.className = "cursor";
-    plot.append(plot.cursor);
-    plot.on("plotly_relayout", (change) => onZoom(plot, change));
-    plot.on("plotly_click", (click) => show(click.points[0].x));
-    plot.on("plotly_afterplot", moveCursors);
-    plots.push(plot);
+    const plot = at(`plot-${key}`), fold = plot.closest("details");
+    if (!fold) await drawPlot(plot, figure);
+    else fold.addEventListener("toggle", () => drawPlot(plot, figure).then(moveCursors), { once: true });
   }
 }
 

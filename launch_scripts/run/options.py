@@ -1,6 +1,7 @@
 """Options of a run, and a check of all names and files before any node starts."""
 
 import argparse
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -25,6 +26,8 @@ IDENTIFICATION = "identification"
 """Name of the manoeuvre, and of the settings that drive it."""
 MANOEUVRE_FILE = "manoeuvre.csv"
 """Path of the manoeuvre, in the folder of the run."""
+
+NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 
 
 class Run(NamedTuple):
@@ -90,6 +93,8 @@ def read_run_options(arguments: Sequence[str] | None, about: str | None) -> argp
     add("--real-time", False, "run freely instead of in lock-step", action="store_true")
     text = "connect the car directly to controller and planner, without the gate"
     add("--no-gate", False, text, action="store_true")
+    text = "namespace of nodes, topics, clock and frames, such as car1; default: none"
+    add("--namespace", "", text)
     add("--time-out", 10.0, "longest time to wait for the answer of a node [s]", type=float)
     add("--output", None, "new folder of the run; default: runs/<time>_<name>", type=Path)
     options = parser.parse_args(arguments)
@@ -167,6 +172,7 @@ def prepare_run(options: argparse.Namespace) -> Run:
         ValueError: Names the invalid option or file in one sentence.
     """
     check_files(options)
+    check_namespace(options.namespace)
     options.controller = check_controller(options.controller)
     if is_custom(options.controller):
         from ampc_ros.controller import make_controller  # loads all controllers
@@ -199,6 +205,14 @@ def prepare_run(options: argparse.Namespace) -> Run:
         create_folder(folder, exist_ok=False)
     values = {k: v for k, v in vars(options).items() if k not in ("output", "write_path")}
     return Run(folder, scenario, values)
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise a ValueError unless a text is empty or a namespace of ROS, with or without `/`."""
+    if namespace and not NAMESPACE.fullmatch(namespace):
+        raise ValueError(
+            f"--namespace: {namespace!r} must consist of letters, digits and _, such as car1"
+        )
 
 
 def run_name(scenario: str, controller: str) -> str:

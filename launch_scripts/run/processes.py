@@ -21,6 +21,8 @@ PROFILES = Path(__file__).with_name("fastdds.xml")
 """Settings of the middleware for one computer."""
 COMPLETED = "completed"
 """Reason of a run that the simulator has ended."""
+OWN_CLOCK = "/clock:=clock"
+"""Remapping of the clock into the namespace of a node."""
 NODE_DIED, WRONG_SET_UP = 1, 2
 """Exit codes of the scripts that start nodes; a node with invalid options also ends with 2."""
 LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w./]+\]: |^error: ")
@@ -35,9 +37,14 @@ class Processes:
         SIGTERM to the nodes.
     """
 
-    def __init__(self, logs: Path) -> None:
-        """Create the folder of the logs."""
-        self.logs = logs
+    def __init__(self, logs: Path, namespace: str = "") -> None:
+        """Create the folder of the logs.
+
+        Args:
+            logs: The folder.
+            namespace: Namespace of all nodes and of their clock; empty: none.
+        """
+        self.logs, self.namespace = logs, namespace.strip("/")
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         logs.mkdir(parents=True, exist_ok=True)
 
@@ -71,6 +78,8 @@ class Processes:
         command = [sys.executable, "-m", module, "--ros-args"]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={yaml_text(value)}"]
+        if self.namespace:
+            command += ["-r", f"__ns:=/{self.namespace}", "-r", OWN_CLOCK]
         for topic, other in (renamed or {}).items():
             command += ["-r", f"{topic}:={other}"]
         with self.log(name).open("wb") as log:

@@ -28,7 +28,7 @@ COMMANDS = {
     "new_car",
     "identify",
 }
-COMMANDS |= {"compile_all", "certify", "setup", "__init__"}
+COMMANDS |= {"compile_all", "certify", "watch", "setup", "__init__"}
 """Files at the top of launch_scripts."""
 STUDY = {"launch_scripts.study", "launch_scripts.reproduce"}
 REPEATED = {"main", "parse_arguments", "read_options", "__all__"}

@@ -71,7 +71,8 @@ def parameters(node: Any) -> dict[str, Any]:
 def test_the_launch_file_starts_every_node_with_parameters_that_it_has(launch_file: Any) -> None:
     given = started(launch_file, output="folder")
     assert given.keys() == {*NODES, "recorder"}
-    assert parameters(given["recorder"]).keys() == {"output", "use_sim_time"}
+    look = {"vehicle", "base_link_to_cg", "frame_prefix"}
+    assert parameters(given["recorder"]).keys() == {"output", "use_sim_time", *look}
     with ros_context() as executor:
         for name, make_node in NODES.items():
             node = make_node()
@@ -120,13 +121,20 @@ def test_topics_stay_on_this_machine_unless_the_shell_says_otherwise(launch_file
 def test_with_the_gate_the_simulated_car_receives_the_commands_of_the_gate(
     launch_file: Any,
 ) -> None:
-    given = started(launch_file)
+    given = started(launch_file, lock_step="false")
     commands = ["steering_command", "target_speed"]
     assert given["simulator"]["remappings"] == [(name, f"gate/{name}") for name in commands]
     assert not any(each["remappings"] for name, each in given.items() if name != "simulator")
-    without = started(launch_file, gate="false")
+    without = started(launch_file, gate="false", lock_step="false")
     assert "gate" not in without
     assert not without["simulator"]["remappings"]
+
+
+def test_in_lock_step_every_node_uses_the_clock_of_its_car(launch_file: Any) -> None:
+    given = started(launch_file, output="folder")
+    assert all(("/clock", "clock") in each["remappings"] for each in given.values())
+    real = started(launch_file, output="folder", lock_step="false")
+    assert not any(("/clock", "clock") in each["remappings"] for each in real.values())
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TransformStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
@@ -19,8 +19,10 @@ from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.nodes import live_transforms
 from ampc_msgs_config.nodes.marker_node import PICTURE_PERIOD, MarkerNode, main
 from ampc_msgs_config.nodes.scene import MAX_DRAWN_POINTS, STOP_COLOUR
+from ampc_msgs_config.recording.transforms import prefix_of, prefixed
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from tests.ros_nodes import add, ros_context, spin_until
 
@@ -219,6 +221,88 @@ def test_pictures_come_at_most_20_times_a_second(viewer: Viewer) -> None:
         viewer.drive()
         viewer.all.spin_once(timeout_sec=0.001)
     assert time.monotonic() - start > 8 * PICTURE_PERIOD
+
+
+class Transforms:
+    """Stand-in for tf2_msgs/TFMessage, which the wheels lack."""
+
+    def __init__(self, transforms: list[TransformStamped]) -> None:
+        """Keep the transforms."""
+        self.transforms = transforms
+
+
+class Listeners:
+    """Stand-in for a publisher of transforms, with so many subscribers."""
+
+    def __init__(self, count: int) -> None:
+        """Start without a message."""
+        self.count, self.sent = count, list[TransformStamped]()
+
+    def get_subscription_count(self) -> int:
+        """Return the number of subscribers."""
+        return self.count
+
+    def publish(self, message: Transforms) -> None:
+        """Store a message."""
+        self.sent += message.transforms
+
+
+def test_without_tf2_msgs_one_line_says_that_tf_is_missing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def not_installed(_: str) -> None:
+        raise ValueError("this message type is not installed")
+
+    monkeypatch.setattr(live_transforms, "message_class", not_installed)
+    with ros_context() as executor:
+        add(executor, MarkerNode())
+    assert capfd.readouterr().err.count("/tf is not published: tf2_msgs is not installed") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "base"), [((), "base_link"), (("-r", "__ns:=/car7"), "car7/base_link")]
+)
+def test_every_odometry_is_broadcast_as_a_transform_while_somebody_listens(
+    arguments: tuple[str, ...], base: str
+) -> None:
+    with ros_context(*arguments) as executor:
+        node, listeners = MarkerNode(), Listeners(0)
+        add(executor, node)
+        node.transforms.message_class, node.transforms.publisher = Transforms, listeners
+        state = VehicleState(7, 3.0, 4.0, 0.5, 9.0, 0.0, 0.0)
+        for listeners.count in (0, 1):
+            node.on_timer()
+            node.keep(ros.ODOM, ros.odometry_message(state, "odom"))
+        assert bool(node.inputs.topics)
+        node.keep(ros.ODOM, ros.odometry_message(state._replace(x=math.nan)))
+    (found,) = listeners.sent
+    place = found.transform
+    assert (found.header.frame_id, found.child_frame_id) == ("odom", base)
+    assert (ros.nanoseconds(found.header.stamp), place.translation.x) == (7, 3.0)
+    assert 2 * math.atan2(place.rotation.z, place.rotation.w) == pytest.approx(0.5)
+
+
+def test_it_is_silent_on_tf_where_another_node_broadcasts() -> None:
+    with ros_context() as executor:
+        node, other = MarkerNode(), Node("localisation")
+        add(executor, node, other)
+        other.create_publisher(TransformStamped, "/tf", 1)
+        node.transforms.message_class, node.transforms.publisher = Transforms, Listeners(1)
+        node.transforms.look()
+
+        def is_silent() -> bool:
+            node.transforms.look()
+            return not node.transforms.is_wanted
+
+        spin_until(executor, is_silent)
+
+
+def test_a_prefix_is_added_once() -> None:
+    assert prefixed("base_link", "car1/") == "car1/base_link"
+    assert prefixed("car1/base_link", "car1/") == "car1/base_link"
+    assert prefix_of("", "/") == ""
+    assert prefix_of("", "/fleet/car1") == "fleet/car1/"
+    assert prefix_of("ego_", "/car1") == "ego_"
 
 
 def test_a_wrong_vehicle_is_one_line(

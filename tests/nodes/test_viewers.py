@@ -1,7 +1,8 @@
 """The viewers' files: they can be read, and name only what the nodes publish and the viewers know.
 
 The names of classes and panels are those in the sources of RViz2 (rviz_default_plugins and
-rviz_common of Jazzy), Foxglove's layouts and PlotJuggler 3; no viewer runs here.
+rviz_common of Jazzy), Foxglove's layouts and PlotJuggler 3; these viewers do not run here.
+test_two_cars.py compares the names with a recorded bag.
 """
 
 import json
@@ -13,11 +14,13 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.recorder_node import CONTRACT
-from ampc_msgs_config.types import REASONS, RUNGS
+from ampc_msgs_config.types import REASONS, RECORD_QUANTITIES, RUNGS
+from tests.layouts import split_path, values_at
 
 FOLDER = Path(__file__).resolve().parents[2] / "ampc_ros" / "viewers"
 JOINTS = {ros.STEERING_COMMAND: (ros.STEERING_JOINT,), ros.STEERING_STATE: (ros.STEERING_JOINT,)}
@@ -31,7 +34,6 @@ RVIZ_CLASSES = {
     *(f"rviz_default_plugins/{name}" for name in ("FocusCamera", "TopDownOrtho")),
 }
 PANELS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary"}
-BLOCKS = re.compile(r"([\w/]+)((?:\.\w+(?:\[\d+\])?)+)")
 
 
 def rviz() -> Any:
@@ -111,18 +113,22 @@ def test_foxglove_s_scene_and_health_are_topics_of_ours() -> None:
 
 @pytest.mark.parametrize("path", list(found("value", foxglove())))
 def test_foxglove_plots_fields_that_the_messages_have(path: str) -> None:
-    match = BLOCKS.fullmatch(path)
-    assert match
-    topic, fields = match.groups()
-    check_fields(TOPICS[topic], re.sub(r"\[\d+\]", "", fields)[1:].split("."))
+    topic, fields = split_path(path)
+    check_fields(TOPICS[topic], fields.partition("[")[0][1:].split("."))
+    assert not re.search(r"\[-?\d", fields)  # names, no indices
 
 
-def test_foxglove_finds_rung_and_reason_in_the_tick() -> None:
+def test_foxglove_finds_rung_and_reason_by_name() -> None:
     ladder = foxglove()["configById"]["StateTransitions!ladder"]
-    paths = {each["label"]: each["value"] for each in ladder["paths"]}
+    paths = {each["label"]: split_path(each["value"]) for each in ladder["paths"]}
     for name in ("rung", "reason"):
-        number = ros.TICK_QUANTITIES.index(name)
-        assert paths[name] == f"/{ros.TICK}.position[{number}]"
+        topic, fields = paths[name]
+        values = [KeyValue(key="steering", value="0.1"), KeyValue(key=name, value="3")]
+        own = DiagnosticStatus(name="/controller", values=values)
+        other = DiagnosticStatus(name="/gate", values=[KeyValue(key=name, value="7")])
+        assert topic == ros.DIAGNOSTICS
+        assert values_at(fields, DiagnosticArray(status=[other, own])) == ["3"]
+        assert name in RECORD_QUANTITIES  # health_numbers publishes all of them
     words = ", ".join(f"{number} {name}" for number, name in enumerate(RUNGS))
     assert words.replace("_", " ").replace("feed f", "feed-f") in ladder["foxglovePanelTitle"]
     assert REASONS[0] == "none"

@@ -61,6 +61,7 @@ from launch_scripts.tuning.drives import straight
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import load_vehicle_file
 from tests.certificates import certificate_of, write_certificate
+from tests.html_pages import CHROMIUM, check_widths, open_browser
 
 ROOT = Path(__file__).resolve().parents[2]
 ORDINARY = load_vehicle_file(find("vehicles", "ordinary"))
@@ -277,6 +278,9 @@ def test_a_certificate_has_the_same_bytes_on_each_run_and_the_node_accepts_it(
     page = file.with_suffix(".html")
     first = file.read_bytes(), page.read_bytes()
     assert b"Certified" in first[1]
+    if CHROMIUM:
+        with open_browser() as browser:
+            check_widths(browser, page)
     assert main([*options, "--workers", "3"]) == 0
     assert (file.read_bytes(), page.read_bytes()) == first
     content = json.loads(first[0])

@@ -28,7 +28,13 @@ from launch_scripts.comparing.cells import (
 from launch_scripts.comparing.results import three_digits
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
-from tests.html_pages import Elements, check_that_no_request_leaves
+from tests.html_pages import (
+    CHROMIUM,
+    Elements,
+    check_that_no_request_leaves,
+    check_widths,
+    open_browser,
+)
 from tests.tools.test_python_api import blocks
 
 REPEATED = [key for name, key in COMPARED_METRICS.items() if name != "solve_time"]
@@ -174,6 +180,12 @@ def test_every_pair_has_one_cell_and_all_that_repeats_the_run_stands_beside_it(
     fates = {(c["scenario"], c["controller"]): c["fate"] for c in content["cells"]}
     assert fates["circle", "paper"] == "refused"
     assert fates["sc2", "classic"].startswith("lost")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+def test_the_page_is_readable_on_a_phone_a_tablet_and_a_desktop(folder: Path) -> None:
+    with open_browser() as browser:
+        check_widths(browser, folder / "page.html")
 
 
 def test_the_page_loads_nothing_and_is_small(page: str) -> None:

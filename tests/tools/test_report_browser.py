@@ -1,6 +1,5 @@
 """Report page in a browser: playing, keys, zoom, and no network access."""
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,16 +7,9 @@ from typing import Any
 import pytest
 
 from launch_scripts.report import main
-from tests.waiting import TIMEOUT
+from tests.html_pages import CHROMIUM, PATIENCE, check_widths, open_browser
 from tests.workshop.bench.bench_report_page import make_bag
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-OPTIONS = (
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
-PATIENCE = 1000.0 * TIMEOUT
-"""Wall time after which a wait for the page has failed [ms]."""
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
 
 
@@ -33,11 +25,8 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Start the chromium of the system."""
-    api = pytest.importorskip("playwright.sync_api")
-    with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
+    with open_browser() as started:
         yield started
-        started.close()
 
 
 @pytest.fixture
@@ -155,13 +144,26 @@ def test_the_numbers_at_the_slider_are_those_of_the_bag(page: Any) -> None:
     assert row.locator("td").nth(4).text_content() == "shifted plan"
 
 
-def test_nothing_is_wider_than_a_phone(browser: Any, page_file: Path) -> None:
-    context = browser.new_context(offline=True, viewport={"width": 360, "height": 700})
-    opened = context.new_page()
-    opened.goto(page_file.as_uri())
-    opened.wait_for_selector("body[data-ready=yes]", timeout=PATIENCE)
-    assert opened.evaluate("document.documentElement.scrollWidth") <= 360
-    context.close()
+def test_nothing_overlaps_on_a_phone_a_tablet_and_a_desktop(browser: Any, page_file: Path) -> None:
+    check_widths(browser, page_file, "body[data-ready=yes]")
+
+
+def test_one_drive_is_readable_at_every_width_and_constant_charts_are_folded(
+    browser: Any, tmp_path: Path
+) -> None:
+    bag = make_bag(tmp_path / "20261128_120000_a_long_name_of_a_drive" / "bag", 0.1)
+    assert main([str(bag), "--output", str(tmp_path)]) == 0
+    file = tmp_path / "report.html"
+    check_widths(browser, file, "body[data-ready=yes]")
+    page = browser.new_page()
+    page.goto(file.as_uri())
+    page.wait_for_selector("body[data-ready=yes]", timeout=PATIENCE)
+    folds = page.locator("details.fold")
+    titles = [text.split(":")[0] for text in folds.locator("summary").all_text_contents()]
+    assert "Constraints" in titles
+    assert "Cross-track error" not in titles
+    assert "mm" in page.locator(".lead").text_content() or "cm" not in page.content()
+    page.close()
 
 
 def test_an_old_browser_is_told_why_it_sees_no_plots(browser: Any, page_file: Path) -> None:

@@ -50,7 +50,13 @@ from launch_scripts.study.measurements import (
 from launch_scripts.study.page import study_page
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation
-from tests.html_pages import Elements, check_that_no_request_leaves
+from tests.html_pages import (
+    CHROMIUM,
+    Elements,
+    check_that_no_request_leaves,
+    check_widths,
+    open_browser,
+)
 
 TABLE3 = load_gain_table("table3").nodes[0]
 TUNED = TunedGains((0.5, 3.0), TABLE3, TABLE3)
@@ -99,6 +105,12 @@ def test_numbers_in_tables_of_results_are_measured_ones(page: str) -> None:
     for cell in cells:
         words = re.sub(r"<data .*?</data>", "", cell)
         assert not re.search(r"\d", re.sub(r"<[^>]*>", "", words)), cell
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+def test_the_page_is_readable_on_a_phone_a_tablet_and_a_desktop(folder: Path) -> None:
+    with open_browser() as browser:
+        check_widths(browser, folder / "page.html")
 
 
 def test_no_request_leaves_the_page(page: str) -> None:

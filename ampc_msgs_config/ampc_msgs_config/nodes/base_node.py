@@ -88,7 +88,8 @@ class BaseNode(Node):
         missing = []
         for topic in sorted(published):
             subscribers = self.get_subscriptions_info_by_topic(topic)
-            if not any(subscriber.node_name == "recorder" for subscriber in subscribers):
+            names = {(each.node_name, each.node_namespace) for each in subscribers}
+            if ("recorder", self.get_namespace()) not in names:
                 missing.append(topic)
         self.wait_for_recorder, self.is_recorded = bool(missing), not missing
         return missing

@@ -1,7 +1,8 @@
 """Node `markers`: draw the drive for RViz2 and Foxglove. `ros2 run ampc_msgs_config markers`.
 
 It subscribes to the drive only while a viewer is subscribed, draws at most 20 times a second of
-wall time, and no other node waits for it.
+wall time, and no other node waits for it. Where tf2_msgs is installed and no other node publishes
+`/tf`, it broadcasts the pose of the car there.
 """
 
 import math
@@ -11,37 +12,31 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3, Vector3Stamped
+from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Bool
+from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros, topics
-from ampc_msgs_config.config import find, shipped_or_file
-from ampc_msgs_config.frames import quaternion_from_yaw
+from ampc_msgs_config.config import shipped_or_file
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.base_node import BaseNode, declare, spin
 from ampc_msgs_config.nodes.inputs import Inputs
-from ampc_msgs_config.nodes.scene import EMPTY_PATH, Shape, View, car_of, shapes, thin_points
-from ampc_msgs_config.parameters import ChassisParameters, SizeParameters, SteeringParameters
+from ampc_msgs_config.nodes.live_transforms import LiveTransforms
+from ampc_msgs_config.nodes.marker_messages import load_outline, marker
+from ampc_msgs_config.nodes.scene import EMPTY_PATH, View, shapes, thin_points
+from ampc_msgs_config.recording.transforms import prefix_of
 from ampc_msgs_config.types import Array, VehicleState
-from ampc_msgs_config.vehicle_file import read_vehicle
 
 PICTURE_PERIOD = 0.05
 """Wall time between two pictures [s]."""
 LIFETIME = 2
 """Time after which a viewer removes a marker that is not redrawn [s]. It is simulated time if the
 viewer uses that: a drive in lock-step runs up to 20 times as fast as the wall clock."""
-MARKER_TYPES = {
-    "cube": Marker.CUBE,
-    "line": Marker.LINE_STRIP,
-    "arrow": Marker.ARROW,
-    "text": Marker.TEXT_VIEW_FACING,
-}
 
 
 class MarkerNode(BaseNode):
@@ -50,15 +45,13 @@ class MarkerNode(BaseNode):
     def __init__(self) -> None:
         """Load the car, without subscriptions yet."""
         super().__init__("markers")
-        allowed = shipped_or_file("vehicles")
-        file = find("vehicles", declare(self, "vehicle", "paper", "car to draw", allowed))
+        vehicle = declare(self, "vehicle", "paper", "car to draw", shipped_or_file("vehicles"))
         to_cg = declare(
             self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
         )
-        vehicle, user = read_vehicle(file), "the node markers"
-        chassis = vehicle.section(ChassisParameters, "chassis", user)
-        self.car = car_of(chassis, vehicle.section(SizeParameters, "size", user), to_cg)
-        steering = vehicle.section(SteeringParameters, "steering", user)
+        text, allowed = "prefix of the car's frames in /tf", "such as car1/; empty: the namespace"
+        prefix = prefix_of(declare(self, "frame_prefix", "", text, allowed), self.get_namespace())
+        self.car, steering = load_outline(vehicle, to_cg)
         angle_of = partial(ros.steering_angle, steering=steering)
         self.sources: dict[str, tuple[Any, QoSProfile, Callable[[Any], Any]]] = {
             topics.ODOM: (Odometry, qos.NEWEST, self.state_of),
@@ -75,6 +68,7 @@ class MarkerNode(BaseNode):
         self.pictures = 0
         self.frame_id = topics.MAP
         self.publisher = self.create_publisher(MarkerArray, topics.MARKERS, qos.COMMAND)
+        self.transforms = LiveTransforms(self, prefix)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(PICTURE_PERIOD, self.on_timer, clock=self.steady)
         self.create_timer(1.0, self.on_diagnostics, clock=None if self.lock_step else self.steady)
@@ -82,19 +76,27 @@ class MarkerNode(BaseNode):
 
     def on_timer(self) -> None:
         """Draw if there is a new state and a viewer is subscribed."""
-        if not self.publisher.get_subscription_count():
+        self.transforms.look()
+        is_watched = self.publisher.get_subscription_count() > 0
+        if not (is_watched or self.transforms.is_wanted):
             self.unsubscribe()
         elif not self.inputs.topics:
             self.subscribe()
-        elif self.unpack_new():
+        elif is_watched and self.unpack_new():
             self.draw()
 
     def subscribe(self) -> None:
         """Subscribe to the drive."""
         for topic, (message_type, profile, _) in self.sources.items():
-            keep = partial(self.new.__setitem__, topic)
+            keep = partial(self.keep, topic)
             profiles = ros.ANY_PUBLISHER if topic == ros.REFERENCE_PATH else (profile,)
             self.inputs.add(message_type, topic, keep, *profiles)
+
+    def keep(self, topic: str, message: Any) -> None:
+        """Keep the newest message of a topic; broadcast the pose of the car at once."""
+        self.new[topic] = message
+        if topic == topics.ODOM:
+            self.transforms.send(message)
 
     def unsubscribe(self) -> None:
         """Remove all subscriptions and values."""
@@ -149,6 +151,8 @@ class MarkerNode(BaseNode):
             values.get(topics.STOP_REQUEST, False),
         )
         markers = [marker(shape, state.stamp_ns, self.frame_id) for shape in shapes(view, self.car)]
+        for each in markers:
+            each.lifetime.sec = LIFETIME
         self.publisher.publish(MarkerArray(markers=markers))
         self.pictures += 1
 
@@ -170,20 +174,6 @@ def wind_of(message: Vector3Stamped) -> tuple[float, float]:
     if not all(map(math.isfinite, wind)):
         raise ValueError(f"vector = {wind} must be finite")
     return wind
-
-
-def marker(shape: Shape, stamp_ns: int, frame_id: str = ros.MAP) -> Marker:
-    """Pack a shape."""
-    message = Marker(ns=shape.name, id=shape.number, type=MARKER_TYPES[shape.kind], text=shape.text)
-    message.header.frame_id, message.header.stamp = frame_id, ros.time_message(stamp_ns)
-    message.lifetime.sec = LIFETIME
-    message.scale = Vector3(**dict(zip("xyz", map(float, shape.size), strict=True)))
-    message.color = ColorRGBA(**dict(zip("rgba", shape.colour, strict=True)))
-    at, turned = message.pose.position, message.pose.orientation
-    at.x, at.y, at.z = shape.position
-    turned.z, turned.w = quaternion_from_yaw(shape.yaw)
-    message.points = [Point(x=x, y=y, z=shape.height) for x, y in shape.points.tolist()]
-    return message
 
 
 def main() -> int:

@@ -8,10 +8,10 @@ was removed, replaced or truncated.
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -30,12 +30,17 @@ from rosbags import interfaces
 from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, shortened
+from ampc_msgs_config.nodes.live_transforms import has_other_broadcaster
+from ampc_msgs_config.nodes.other_cars import is_of_another_car
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES, message_class, type_name_of
-from ampc_msgs_config.recording.transforms import TF_MESSAGE, footprint_transform, pose_transform
+from ampc_msgs_config.recording.transforms import TF_MESSAGE, prefix_of
 from ampc_msgs_config.signals import handle_ending_signals
 from ampc_msgs_config.types import NANOSECONDS
+
+if TYPE_CHECKING:
+    from ampc_msgs_config.nodes.derived_topics import DerivedTopics
 
 WRITE_PERIOD = 0.3
 """Wall time between two batches [s]."""
@@ -59,7 +64,7 @@ BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 CONTRACT: dict[str, Any] = {
     name: message_class(type_) for name, type_ in TOPIC_TYPES.items() if name != topics.MARKERS
 }
-"""Without markers: they repeat other topics, and would be three quarters of a bag."""
+"""Without markers: they would be three quarters of a bag. Thinned ones are derived instead."""
 LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
@@ -72,7 +77,8 @@ DESCRIBING = (*topics.QUANTITIES, topics.PREDICTED_PATH, topics.TICK)
 """Topics with which the controller describes its last command."""
 SHARED_TOPICS = {topics.PARAMETER_EVENTS, topics.ROSOUT}
 """Topics of all nodes: messages from before the start of the recorder do not count as missed."""
-TRANSFORMS = {topics.TF: qos.RELIABLE, topics.TF_STATIC: qos.LATCHED}
+TRANSFORMS = (topics.TF, topics.TF_STATIC)
+"""Topics that are derived from odometry, unless a node other than `markers` publishes `/tf`."""
 
 
 class Recorder(Node):
@@ -98,8 +104,8 @@ class Recorder(Node):
             quantities={full(name) for name in DESCRIBING},
             latched={full(name) for name in LATCHED_TOPICS},
         )
-        self.odom = full(topics.ODOM)
-        self.derives_transforms = topics.TF not in map(full, further)
+        self.relative = {full(name): name for name in CONTRACT}
+        self.derived = self.load_derived(further)
         self.inputs: dict[str, Subscription] = {}
         self.incompatible: set[str] = set()
         self.first_numbers: dict[str, int] = {}
@@ -116,6 +122,25 @@ class Recorder(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WRITE_PERIOD, self.on_timer, clock=steady)
         self.get_logger().info(f"recording to {self.recording.folder}")
+
+    def load_derived(self, further: Collection[str]) -> "DerivedTopics":
+        """Return the source of transforms and pictures, without those that are recorded.
+
+        Raises:
+            ValueError: The vehicle is missing or wrong.
+        """
+        # Loads msgspec, while the other nodes start.
+        from ampc_msgs_config.nodes.derived_topics import DerivedTopics
+
+        vehicle = self.parameter("vehicle", "paper", "Shipped vehicle, or YAML file, to draw.")
+        text = "Distance from odom to the centre of gravity [m]; -1: rear axle."
+        to_cg = self.parameter("base_link_to_cg", -1.0, text)
+        text = "Prefix of the car's frames, such as car1/; empty: the namespace."
+        prefix = prefix_of(self.parameter("frame_prefix", "", text), self.get_namespace())
+        full = partial(self.resolve_topic_name, only_expand=True)
+        recorded = set(map(full, further))
+        transforms, pictures = (full(n) not in recorded for n in (topics.TF, topics.MARKERS))
+        return DerivedTopics(vehicle, to_cg, prefix, transforms=transforms, pictures=pictures)
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Declare a parameter and return its value."""
@@ -142,11 +167,12 @@ class Recorder(Node):
         taken: tuple[bytes, dict[str, int]] | None = (data, info)
         while taken:
             data, info = taken
-            self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
-            arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
-            self.arrivals.waiting.append(arrival)
-            if arrival.publish_ns < self.end_ns:
-                self.last_arrival = time.monotonic()
+            if not is_of_another_car(topic, data, self.get_namespace()):
+                self.first_numbers.setdefault(topic, info["publication_sequence_number"] or 1)
+                arrival = Arrival(info["source_timestamp"], info["received_timestamp"], topic, data)
+                self.arrivals.waiting.append(arrival)
+                if arrival.publish_ns < self.end_ns:
+                    self.last_arrival = time.monotonic()
             taken = take_serialized(self.inputs[topic])
 
     def on_lost(self, event: Any) -> None:
@@ -167,8 +193,8 @@ class Recorder(Node):
             OSError: The file cannot be written.
             ValueError: The same, or the file was removed, replaced or truncated.
         """
-        if topics.TF in self.inputs and self.count_publishers(self.resolve_topic_name(topics.TF)):
-            self.derives_transforms = False
+        if topics.TF in self.inputs and has_other_broadcaster(self):
+            self.derived.has_transforms = False
         self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
         for arrival in self.arrivals.take_undated():
             self.write(arrival, 0)
@@ -190,31 +216,25 @@ class Recorder(Node):
             if self.arrivals.undated:
                 self.arrivals.undated = 0
                 self.recording.begin_anew()
+                self.derived.begin()
             self.write(arrival, log_time_ns)
 
     def write(self, arrival: Arrival, log_time_ns: int) -> None:
         """Write one message; the first of a topic adds the topic with its quality of service."""
         topic = arrival.topic
+        if topic in TRANSFORMS and self.derived.has_transforms:
+            return  # of our own node `markers`: the derived ones have every state
         if topic not in self.recording.topics:
             offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
             own = self.inputs[topic]
             profiles = [plain_qos(profile) for profile in offers or [own.qos_profile]]
             self.recording.add_topic(topic, type_name_of(own.msg_type), profiles)
         self.recording.write(topic, arrival.data, log_time_ns, arrival.publish_ns)
-        if topic == self.odom and self.derives_transforms:
-            self.write_transforms(arrival, log_time_ns)
-
-    def write_transforms(self, odometry: Arrival, log_time_ns: int) -> None:
-        """Write the pose of the car as a transform, for viewers that need one."""
-        pose = pose_transform(odometry.data)
-        if pose is None:
-            return
-        is_first = topics.TF_STATIC not in self.recording.topics
-        static = {topics.TF_STATIC: footprint_transform(odometry.data)} if is_first else {}
-        for topic, data in {**static, topics.TF: pose}.items():
-            if topic not in self.recording.topics:
-                self.recording.add_topic(topic, TF_MESSAGE, [plain_qos(TRANSFORMS[topic])])
-            self.recording.write(topic, data, log_time_ns, odometry.publish_ns)
+        for derived in self.derived.of(self.relative.get(topic, topic), arrival.data):
+            name = self.resolve_topic_name(derived.topic, only_expand=True)
+            if name not in self.recording.topics:
+                self.recording.add_topic(name, derived.type_name, [plain_qos(derived.profile)])
+            self.recording.write(name, derived.data, log_time_ns, arrival.publish_ns)
 
     def report_failure(self, fault: str) -> None:
         """Publish an ERROR in /diagnostics: the recording has ended."""

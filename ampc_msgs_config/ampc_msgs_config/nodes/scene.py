@@ -1,11 +1,10 @@
-"""Convert a drive to simple shapes in `map`: car, paths, wind, text."""
+"""Convert a drive to simple shapes in `map`: car, paths, wind, text; without compiled code."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.frames import at_distance
 from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
@@ -89,8 +88,8 @@ def shapes(view: View, car: Outline) -> list[Shape]:
     state, colour = view.state, STOP_COLOUR if view.stop else CAR_COLOUR
 
     def placed(ahead: float, left: float) -> tuple[float, float]:  # from the car's frame to `map`
-        there = at_distance(state, ahead)
-        return there.x - left * math.sin(state.yaw), there.y + left * math.cos(state.yaw)
+        cos, sin = math.cos(state.yaw), math.sin(state.yaw)
+        return state.x + ahead * cos - left * sin, state.y + ahead * sin + left * cos
 
     # body
     length = car.rear_overhang + car.wheelbase + car.front_overhang

@@ -37,10 +37,11 @@ class SilentClock:
             self.newest_ns, self.changed_at, self.is_logged = now_ns, now, False
         if now < self.limit if not now_ns else now - self.changed_at < STOPPED_CLOCK:
             return ""
-        publishers = self.node.count_publishers(self.node.resolve_topic_name(CLOCK))
+        clock = self.node.resolve_topic_name(CLOCK)
+        publishers = self.node.count_publishers(clock)
         silent = "has no publisher" if not publishers else "sends nothing"
         silent = f"has stopped at {now_ns / NANOSECONDS:.1f} s" if now_ns else silent
-        text = f"{USE_SIM_TIME_NAME} is set but {CLOCK} {silent}: play a bag with --clock 1000"
+        text = f"{USE_SIM_TIME_NAME} is set but {clock} {silent}: play a bag with --clock 1000"
         if not self.is_logged:
             self.node.get_logger().error(text)
         self.is_logged = True

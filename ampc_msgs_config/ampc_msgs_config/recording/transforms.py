@@ -14,8 +14,27 @@ FOOTPRINT = "base_footprint"
 """Projection of the car onto the ground (REP-120). Our motion is planar: it is `base_link`."""
 
 
-def pose_transform(odometry: bytes) -> bytes | None:
+def prefixed(frame: str, prefix: str) -> str:
+    """Return a frame of the car with its prefix, such as `car1/base_link`, once."""
+    return frame if not frame or frame.startswith(prefix) else prefix + frame
+
+
+def prefix_of(parameter: str, namespace: str) -> str:
+    """Return the prefix of the frames of a car.
+
+    Args:
+        parameter: Value of `frame_prefix`; empty: the namespace.
+        namespace: Namespace of the node, such as `/car1`.
+    """
+    return parameter or (f"{namespace.strip('/')}/" if namespace.strip("/") else "")
+
+
+def pose_transform(odometry: bytes, prefix: str = "") -> bytes | None:
     """Build the `/tf` message of a serialised odometry: its frame -> its child frame.
+
+    Args:
+        odometry: Serialised nav_msgs/Odometry.
+        prefix: Prefix of the child frame.
 
     Returns:
         A serialised tf2_msgs/TFMessage with the stamp, position and quaternion of the odometry, or
@@ -27,14 +46,15 @@ def pose_transform(odometry: bytes) -> bytes | None:
     names = message.header.frame_id, message.child_frame_id
     if not (all(map(math.isfinite, pose)) and any(pose[3:]) and all(names)):
         return None
-    return transform_message(message.header, message.child_frame_id, pose)
+    return transform_message(message.header, prefixed(message.child_frame_id, prefix), pose)
 
 
-def footprint_transform(odometry: bytes) -> bytes:
+def footprint_transform(odometry: bytes, prefix: str = "") -> bytes:
     """Build the `/tf_static` message of a serialised odometry: its child frame -> FOOTPRINT."""
     message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
-    header = build_message("std_msgs/msg/Header", message.header.stamp, message.child_frame_id)
-    return transform_message(header, FOOTPRINT, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    frame = prefixed(message.child_frame_id, prefix)
+    header = build_message("std_msgs/msg/Header", message.header.stamp, frame)
+    return transform_message(header, prefix + FOOTPRINT, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
 
 
 def transform_message(header: Any, child: str, pose: tuple[float, ...]) -> bytes:

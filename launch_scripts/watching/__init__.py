@@ -1,0 +1,1 @@
+"""Picture of a running drive in the terminal."""
