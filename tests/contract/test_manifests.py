@@ -22,8 +22,8 @@ KEYS = {
 """Keys of rosdep for Ubuntu 24.04 (rosdep/python.yaml of ros/rosdistro), or packages, by module."""
 NO_KEY = {"lz4", "markupsafe", "mcap", "msgspec", "plotly", "tsdownsample", "zstandard"}
 """Modules without a key of rosdep, which lock/requirements.txt installs."""
-NOT_OF_THE_PRODUCT = {"cma", "distributed", "setuptools"}
-"""Of a study, of a cluster, and of setup.py."""
+NOT_OF_THE_PRODUCT = {"cma", "distributed", "rerun", "setuptools"}
+"""Of a study, of a cluster, of `report.py --rerun` and of setup.py."""
 OF_OTHER_STACKS = re.compile(r"(ackermann|autoware|carla)\w*_msgs")
 """Message packages that are imported only where a parameter selects them."""
 LOADED_BY_NAME = re.compile(r"(\w+)/(?:msg|srv)/\w+")
