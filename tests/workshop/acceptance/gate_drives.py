@@ -21,15 +21,14 @@ from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.gate.core import Gate
 from ampc_ros.gate.following import MeasuredPose
-from ampc_ros.gate.plan import PlanPoint, SteeringPlan, make_plan
 from ampc_ros.gate.settings import STOPS, GateSettings
 from ampc_ros.supervision.guard import bounds
-from ampc_ros.supervision.stopping_plan import StoppingPlan
 from ampc_ros.supervision.supervisor import Supervisor
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import load_vehicle_file
 from tests.workshop.acceptance.real_drives import LONGITUDINAL, SLOW, SUDDEN, speed_profile
 from tests.workshop.acceptance.real_roads import Road, road, road_through
+from tests.workshop.fault_matrix.fault_loop import received_plan
 
 STEP, CALM = 0.02, np.zeros((4, 2))
 """Period of gate and odometry [s], and the wind of one."""
@@ -93,13 +92,6 @@ def true_road(name: str, car: str) -> Road:
     return road(name)
 
 
-def unpacked(plan: StoppingPlan) -> SteeringPlan:
-    """Return a plan of the controller as the gate receives it."""
-    t, angle, distance, speed, acceleration, x, y = (each.tolist() for each in plan)
-    rows = zip(t, angle, distance, speed, acceleration, x, y, strict=True)
-    return make_plan([PlanPoint(*row) for row in rows])
-
-
 class GatedDrive:
     """A car, its controller, its planner and the gate between them; copied at each fault."""
 
@@ -160,7 +152,7 @@ class GatedDrive:
         record, plan = self.supervisor.tick(now_ns), self.supervisor.stopping_plan(now_ns)
         assert record
         assert plan
-        self.gate.take_plan(unpacked(plan), self.now)
+        self.gate.take_plan(received_plan(plan), self.now)
         problem = self.gate.take_command(
             record.command.steering, record.command.steering_rate, self.now
         )

@@ -16,6 +16,10 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import SpeedPlanner
 from ampc_msgs_config.topics import MAP
 from ampc_msgs_config.types import NANOSECONDS, QUATERNION_LENGTH, Array, TickRecord, VehicleState
+from ampc_ros.gate.core import Gate
+from ampc_ros.gate.following import MeasuredPose
+from ampc_ros.gate.plan import PlanPoint, SteeringPlan, make_plan
+from ampc_ros.supervision.stopping_plan import StoppingPlan
 from ampc_ros.supervision.supervisor import Supervisor
 from ampc_ros.supervision.tick_policy import Action, TickPolicy
 from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Message
@@ -72,6 +76,7 @@ class FaultyDrive:
         injector: Injector,
         *,
         obey: bool = False,
+        gate: Gate | None = None,
     ) -> None:
         """Start at rest.
 
@@ -81,7 +86,10 @@ class FaultyDrive:
             injector: The line.
             obey: The driver brakes once a stop is requested; else the car drives on, which is
                 harder.
+            gate: Gate between controller and car, which hears odometry and steering sensor over
+                the line, too; None: the car receives the commands themselves.
         """
+        self.gate = gate
         self.simulation, self.supervisor, self.line = simulation, supervisor, injector
         self.obey = obey
         self.points = simulation.scenario.points
@@ -116,7 +124,28 @@ class FaultyDrive:
         next_state = (self.now_ns // ODOM_NS + 1) * ODOM_NS
         due = min(next_state, self.tick_ns, self.line.next_ns) - self.now_ns
         steps = max(-(-int(due) // step_ns), 1)
-        self.simulation.advance(self.steering, self.speed, steps * step_ns)
+        angle, speed = self.passed_on()
+        self.simulation.advance(angle, speed, steps * step_ns)
+
+    def passed_on(self) -> tuple[float, float]:
+        """Return angle [rad] and speed [m/s] that the car receives."""
+        if self.gate is None:
+            return self.steering, self.speed
+        now = self.now_ns / NANOSECONDS
+        self.gate.take_speed(self.speed, now)
+        output = self.gate.step(now)
+        return (output.angle, output.speed) if output else (self.steering, self.speed)
+
+    def tell_gate(self, message: Message) -> None:
+        """Let the gate hear a readable message, as its node does."""
+        assert self.gate
+        now = self.now_ns / NANOSECONDS
+        if message.topic == STEERING_INPUT:
+            self.gate.take_measured(message.value, now)
+        elif message.topic == ODOM_INPUT:
+            state = message.value
+            pose = MeasuredPose(state.x, state.y, state.yaw, state.v_x, state.v_y)
+            self.gate.take_odometry(pose, now)
 
     def measure(self) -> None:
         """Send the measurements and the path of this time over the line."""
@@ -152,6 +181,8 @@ class FaultyDrive:
         if cause:
             self.rejected[cause] += 1
             return
+        if self.gate:
+            self.tell_gate(message)
         try:
             self.take(message)
         except ValueError:
@@ -185,7 +216,18 @@ class FaultyDrive:
             assert self.supervisor.state is not None
             self.steering = record.command.steering
             v_x = self.supervisor.state.value.v_x
+            if self.gate:
+                self.command_gate(record)
             self.ticks.append(CommandedTick(self.now_ns / NANOSECONDS, v_x, record))
+
+    def command_gate(self, record: TickRecord) -> None:
+        """Send command and plan to the gate."""
+        assert self.gate
+        now, command = self.now_ns / NANOSECONDS, record.command
+        problem = self.gate.take_command(command.steering, command.steering_rate, now)
+        self.rejected["gate"] += bool(problem)
+        if plan := self.supervisor.stopping_plan(self.clock_ns()):
+            self.gate.take_plan(received_plan(plan), now)
 
     def log(self) -> Log:
         """Return the log until now."""
@@ -194,6 +236,12 @@ class FaultyDrive:
         rejected = self.rejected + Counter({key: n for key, n in supervisor.rejected.items() if n})
         clipped = Counter({limit: n for limit, n in supervisor.clips.items() if n})
         return Log(time, error, speed, swing, self.ticks, rejected, clipped, self.policy.missed)
+
+
+def received_plan(plan: StoppingPlan) -> SteeringPlan:
+    """Return a plan of the controller as the gate receives it."""
+    rows = zip(*(each.tolist() for each in plan), strict=True)
+    return make_plan([PlanPoint(*row) for row in rows])
 
 
 def unreadable(message: Message) -> str:

@@ -55,6 +55,8 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help="seed of all random numbers; default: %(default)s",
     )
     add("--obey", action="store_true", help="the driver brakes when a stop is requested")
+    text = "the car receives the controller's own commands"
+    add("--no-gate", dest="gated", action="store_false", help=text)
     add("--output", type=Path, default=Path("runs/faults"), help="folder; default: %(default)s")
     return parser.parse_args(arguments)
 

@@ -12,6 +12,8 @@ from ampc_msgs_config.metrics import LOST
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import NANOSECONDS, OPTIMAL, REASONS, RUNGS
 from ampc_ros.configuration import Choices, Configuration, configuration
+from ampc_ros.gate.core import Gate
+from ampc_ros.gate.settings import GateSettings
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.faults.schedule import Fault, FaultSchedule, Injector
 from sim_vehicle.closed_loop import Simulation
@@ -39,6 +41,8 @@ class Conditions(NamedTuple):
     guard: str = "track"
     seed: int = 0
     obey: bool = False
+    gated: bool = True
+    """Whether the gate passes the commands on."""
 
 
 class Course(NamedTuple):
@@ -116,7 +120,13 @@ class Bench:
             Supervisor(self.config),
             Injector(FaultSchedule(faults, self.conditions.seed)),
             obey=self.conditions.obey,
+            gate=self.gate() if self.conditions.gated else None,
         )
+
+    def gate(self) -> Gate:
+        """Return a gate with the guard of the controller."""
+        config = self.config
+        return Gate(config.guard, config.chassis, GateSettings(config.settings.sample_time))
 
     def log(self, scenario: Scenario, *faults: Fault) -> Log:
         """Drive to the end and return the log."""

@@ -57,8 +57,9 @@ def describe_conditions(conditions: Conditions) -> str:
     driver = (
         "the driver obeys the stop request" if conditions.obey else "the stop request is ignored"
     )
+    gate = "with the gate" if conditions.gated else "without the gate"
     return (
-        f"{conditions.controller}, vehicle {vehicle}, guard {Path(conditions.guard).stem}, "
+        f"{conditions.controller}, vehicle {vehicle}, guard {Path(conditions.guard).stem}, {gate}, "
         f"{driver}, seed {conditions.seed}"
     )
 
