@@ -1,8 +1,9 @@
-"""Recover a bag that is cut or damaged: ``recover BAG [--output NEW]``.
+"""Recover bags that are cut or damaged: ``recover BAG ... [--output NEW]``.
 
 The recorder or `ros2 bag record` was killed, the disk was full, or bytes were damaged: all that is
 undamaged is written into a new folder with index and `metadata.yaml`. The bag itself stays as it
-is. Exit code 0: recovered, or the bag is complete; 2: nothing can be read.
+is. A bag in SQLite is converted to MCAP. Exit code 0: recovered, or the bag is complete; 2: of one
+of the bags nothing can be read.
 """
 
 import argparse
@@ -18,14 +19,22 @@ from launch_scripts.bags.recovery import default_output, recover
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Recover one bag and return the exit code."""
+    """Recover all bags and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("bag", type=Path, help="folder of the bag, or one of its files")
-    parser.add_argument("--output", type=Path, help="new folder (default: BAG_recovered)")
+    text = "folder of a bag, or one of its files"
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help=text)
+    text = "new folder, for one bag (default: BAG_recovered)"
+    parser.add_argument("--output", type=Path, help=text)
     options = parser.parse_args(arguments)
-    output = options.output or default_output(options.bag)
+    if options.output and len(options.bags) > 1:
+        parser.error(f"--output is for one bag, not for {len(options.bags)}")
+    return max(recover_bag(bag, options.output or default_output(bag)) for bag in options.bags)
+
+
+def recover_bag(bag: Path, output: Path) -> int:
+    """Recover one bag, print what came of it, and return the exit code."""
     try:
-        print("\n".join(recover(options.bag, output)))
+        print("\n".join(recover(bag, output)))
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -33,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {output}: cannot be written: {error.strerror}", file=sys.stderr)
         return 2
     except Exception as error:  # such as MemoryError
-        print(f"error: {options.bag}: nothing can be read: {reason_of(error)}", file=sys.stderr)
+        print(f"error: {bag}: nothing can be read: {reason_of(error)}", file=sys.stderr)
         return 2
     return 0
 

@@ -1,15 +1,16 @@
 """Replay a recorded run through the controller, and compare every command with the recorded one.
 
-`python launch_scripts/replay.py BAG`: the same version on the same kind of machine gives the same
-bits; the first difference is printed with its inputs. With `--controller`, `--gain-table` or
+`python launch_scripts/replay.py BAG ...`: the same version on the same kind of machine gives the
+same bits; the first difference is printed with its inputs. With `--controller`, `--gain-table` or
 `--set` the changed controller answers the recorded situations (open loop: the recorded car does not
 react to it). With `--close-loop` it drives the simulated car of the bag from its start.
 
 Ticks that are missing in the bag are reported. Behind them the replay is exact from the next
 `controller/memory` on; ticks before it are compared with `--tolerance` only.
 
-The exit code is 0 where all commands are equal or the configuration was changed, 1 where one
-differs, 2 where the bag or an option is wrong, 3 where no tick could be compared bit for bit.
+The exit code is the largest of all bags: 0 where all commands are equal or the configuration was
+changed, 1 where one differs, 2 where the bag or an option is wrong, 3 where no tick could be
+compared bit for bit.
 """
 
 import argparse
@@ -59,7 +60,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("bag", type=Path, help="folder of a bag, or one of its files")
+    add("bags", nargs="+", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
     add("--namespace", help="namespace of the topics, such as /car1; default: of the first command")
     add("--odom", metavar="TOPIC", help="odometry that the controller used; default: odom")
     add("--tolerance", type=float, default=0.0, help="of the angle [rad]; 0: bit for bit")
@@ -75,6 +76,16 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Replay, compare, print; return the exit code."""
     options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
+    codes = []
+    for bag in options.bags:
+        if len(options.bags) > 1:
+            console.print(f"{bag}:", markup=False)
+        codes.append(replay_bag(bag, options, console))
+    return max(codes)
+
+
+def replay_bag(bag: Path, options: argparse.Namespace, console: Console) -> int:
+    """Replay one bag, compare, print; return the exit code."""
     try:
         changes = [with_controller(options.controller)] if options.controller else []
         changes += [with_gains(options.gain_table)] if options.gain_table else []
@@ -82,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         begin = time.perf_counter()
         file = find("vehicles", options.vehicle)
         steering = load_section(SteeringParameters, file, "steering", "the replay")
-        run = read_run(options.bag, options.namespace, options.odom, steering)
+        run = read_run(bag, options.namespace, options.odom, steering)
         reading = time.perf_counter() - begin
         configs, notes = run.config, run.notes
         if not configs:

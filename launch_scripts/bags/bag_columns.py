@@ -4,7 +4,7 @@ No message is kept, because a bag of an hour has a million. Only `odom` is requi
 """
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path as File
 from typing import Any, NamedTuple
@@ -134,8 +134,7 @@ def selected(bag: Bag, namespace: str | None, odom: str | None) -> tuple[str, st
     """
     if odom and namespace is None:
         names = topics.STEERING_COMMAND, topics.REFERENCE_PATH
-        found = [t.removesuffix(f"/{n}") for n in names for t in bag.topics if t.endswith(f"/{n}")]
-        namespace = found[0] if found else ""
+        namespace = next((found for n in names for found in namespaces_with(bag, n)), "")
     elif namespace is None:
         namespace = namespace_of(bag)
     namespace = namespace.rstrip("/")
@@ -158,11 +157,17 @@ def namespace_of(bag: Bag) -> str:
         ValueError: There is neither.
     """
     for name in (topics.STEERING_COMMAND, topics.ODOM):
-        for topic in bag.topics:
-            if topic.endswith(f"/{name}"):
-                return topic.removesuffix(f"/{name}")
+        for found in namespaces_with(bag, name):
+            return found
     missing = f"holds no message on {topics.STEERING_COMMAND}, nor {topics.ODOM}"
     raise ValueError(f"{bag.path}: {missing}{other_odometry(bag)}")
+
+
+def namespaces_with(bag: Bag, name: str) -> Iterator[str]:
+    """Yield the namespaces in which a bag holds a topic; that of the gate's copy is none."""
+    for topic in bag.topics:
+        if topic.endswith(f"/{name}") and not topic.endswith(f"/{topics.GATE_STEERING}"):
+            yield topic.removesuffix(f"/{name}")
 
 
 def topic_steering(bag: Bag, prefix: str) -> SteeringParameters | None:

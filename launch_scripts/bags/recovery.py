@@ -26,6 +26,7 @@ from launch_scripts.bags.salvage import Salvage, salvage
 
 LONG_SILENCE = NANOSECONDS
 """Topics whose last message is earlier than this before the end are listed [ns]."""
+SQLITE_ENDING = ".db3"
 KEPT_KEYS = ("custom_data", "ros_distro")
 """Keys of the old `metadata.yaml` that the new one keeps."""
 
@@ -39,7 +40,7 @@ def default_output(bag: Path) -> Path:
 
 
 def recover(bag: Path, output: Path) -> list[str]:
-    """Write all that is undamaged in a bag into a new folder, unless the bag is complete.
+    """Write all that is undamaged in a bag into a new folder, unless it is complete and in MCAP.
 
     Returns:
         Lines for the user: what was kept and what was lost.
@@ -81,8 +82,9 @@ def recover(bag: Path, output: Path) -> list[str]:
         extents = {name: extent_of(each.index) for name, each in new.items()}
         topics, old = topics_of(salvages), read_metadata(bag)
         size = bag_size(salvages, list(extents.values()), topics)
+        is_database = any(SQLITE_ENDING in file.name for file in files)
         if (
-            not lines
+            not (lines or is_database)
             and all(each.is_undamaged for each in salvages)
             and old.get("message_count") == sum(extent.count for extent in extents.values())
             and old.get("relative_file_paths") == [file.name for file in files]
@@ -94,7 +96,8 @@ def recover(bag: Path, output: Path) -> list[str]:
     except (OSError, ValueError):
         shutil.rmtree(output, ignore_errors=True)
         raise
-    return [*lines, *silent_topics(salvages, topics), f"{output}: recovered: {size}"]
+    done = "converted from SQLite to MCAP" if is_database else "recovered"
+    return [*lines, *silent_topics(salvages, topics), f"{output}: {done}: {size}"]
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:

@@ -221,6 +221,8 @@ def test_the_recorder_loses_nothing_and_ends_cleanly(
             publishers[name].publish(sample(name, TICK_NS))
         recorder = start_recorder(tmp_path / "bag", "use_sim_time:=true")
         publish_fast(publishers, ticks)
+        for name in LATCHED_TOPICS & publishers.keys():  # the middleware decides when they come
+            publishers[name].wait_for_all_acked(Duration(seconds=TIMEOUT))
         code, said = stop(recorder, number)
     derived = {*TRANSFORMS, full(ros.MARKERS)}
     found = [each for each in contents(read(tmp_path / "bag")) if each[0] not in derived]

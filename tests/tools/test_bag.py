@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,9 +17,10 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from ampc_msgs_config import topics
 from ampc_msgs_config.recording.bag_writer import Recording
 from launch_scripts.bags.bag import open_bag
-from launch_scripts.bags.bag_columns import read_columns
+from launch_scripts.bags.bag_columns import namespace_of, namespaces_with, read_columns
 from launch_scripts.bags.resync import MAGIC
 from tests.bag_samples import is_complete, read
 from tests.foreign_bags import Sent, write_file
@@ -296,3 +298,11 @@ def test_odometry_of_several_namespaces_is_named_in_a_note(tmp_path: Path) -> No
     assert re.search(r"/ekf/odom is evaluated, not /odom; --namespace", note)
     assert read_columns(tmp_path, "").namespace == ""
     assert not read_columns(tmp_path, "").notes
+
+
+@pytest.mark.parametrize("namespace", ["", "/car1", "/fleet/car2"])
+def test_the_copy_of_a_command_by_the_gate_names_no_namespace(namespace: str) -> None:
+    names = [topics.GATE_STEERING, topics.STEERING_COMMAND, topics.ODOM]
+    bag: Any = SimpleNamespace(path="bag", topics=[f"{namespace}/{name}" for name in names])
+    assert namespace_of(bag) == namespace
+    assert list(namespaces_with(bag, topics.STEERING_COMMAND)) == [namespace]

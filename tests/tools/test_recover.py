@@ -425,6 +425,22 @@ def test_a_missing_bag_or_an_existing_output_gives_one_line(
         assert not said.out
 
 
+def test_several_bags_are_recovered_in_one_call_and_the_worst_decides(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ["one", "two"]
+    for name in names:
+        write_bag(tmp_path / name, ticks=1)
+        (tmp_path / name / "metadata.yaml").unlink(missing_ok=True)
+    bags = [str(tmp_path / name) for name in names]
+    assert main(bags) == 0
+    assert all((tmp_path / f"{name}_recovered" / "metadata.yaml").exists() for name in names)
+    assert main([bags[0], str(tmp_path / "nothing"), "--"]) == 2
+    with pytest.raises(SystemExit):
+        main([*bags, "--output", str(tmp_path / "new")])
+    assert "--output is for one bag, not for 2" in capsys.readouterr().err
+
+
 def test_a_byte_inserted_in_the_head_of_a_chunk_costs_none_of_its_messages() -> None:
     for trial in range(200):  # until a record seems to begin at the last byte of the chunk
         sent = [b"\0\1\0\0" + random.Random(100 * trial + i).randbytes(9) for i in range(20)]

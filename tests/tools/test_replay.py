@@ -188,7 +188,7 @@ def test_a_run_with_a_custom_controller_needs_its_file(
     text = "class Mine:\n    period = 0.1\n    def step(self, state, path): return -0.1 * state.y\n"
     file.write_text(text, encoding="utf-8")
     drive_in_lock_step(tmp_path / "bag", "straight", f"{file}:Mine")
-    assert main([str(tmp_path / "bag")]) == 0
+    assert main([str(tmp_path / "bag")] * 2) == 0  # several bags in one call
     assert main([str(tmp_path / "bag"), "--controller", f"{file}:Mine"]) == 0
     file.unlink()
     capsys.readouterr()
