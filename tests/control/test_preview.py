@@ -182,6 +182,22 @@ def test_after_a_noisy_stop_the_car_goes_on_without_a_swing() -> None:
     assert max(abs(s.y) for s in finished.states) < 0.3
 
 
+@pytest.mark.parametrize("step", [9.0, -4.0, 4.0])
+def test_a_step_of_the_measured_speed_does_not_steer_into_a_bend_that_is_far_ahead(
+    step: float,
+) -> None:
+    path = make_path(load_scenario("sc1", CAR.size).points)  # the lane change begins at 30 m
+    before, after = (0.0, 9.0) if step == 9.0 else (6.0, 6.0 + step)
+    states, x = [], 0.0
+    for k in range(12):
+        v = before if k < 4 else after
+        states.append(state_at(x, 0.0, v_x=v, k=k))
+        x += 0.1 * v
+    assert x < 12.0
+    stepped = open_loop_steering(preview(), states, path)
+    assert np.abs(stepped).max() < math.radians(0.2)
+
+
 def test_beyond_the_end_of_the_path_the_car_goes_straight_on() -> None:
     path = make_path([(0.0, 0.0), (50.0, 0.0)])
     scenario = load_scenario("straight", CAR.size, 9.0)

@@ -44,6 +44,9 @@ MAX_DISTURBANCE = (3.0, 0.05, 1.5, 0.5, 0.0)
 ACCELERATION_GAIN = 0.3
 """Share of a new difference of speeds that enters the estimated acceleration in a tick."""
 
+LARGEST_SPEED_CHANGE = 15.0
+"""A larger difference of speeds is a step of the measurement, and no acceleration [m/s^2]."""
+
 ACCELERATION_FADE = 1.0
 """Time constant with which the acceleration is predicted to fade [s]."""
 
@@ -127,7 +130,9 @@ def update_estimates(
     if not 0.5 * T < elapsed < 1.5 * T:
         memory[EXPECTS] = 0.0
         return
-    memory[ACCELERATION] += ACCELERATION_GAIN * ((v_x - last) / elapsed - memory[ACCELERATION])
+    acceleration = (v_x - last) / elapsed
+    if abs(acceleration) <= LARGEST_SPEED_CHANGE:
+        memory[ACCELERATION] += ACCELERATION_GAIN * (acceleration - memory[ACCELERATION])
     if memory[EXPECTS] == 0.0:
         return
     expected, disturbance = memory[EXPECTED:STATE_DELTA], memory[DISTURBANCE:EXPECTED]
