@@ -5,7 +5,7 @@ VENV_PYTHON := .venv/bin/python
 JOBS ?= 2
 PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup dev demo test check uncompiled lint acceptance certificates faults leaderboard fuzz attack proofs mutation \
+.PHONY: help setup dev demo test check uncompiled lint acceptance stacks certificates faults leaderboard fuzz attack proofs mutation \
 	bench lock audit clean
 .DEFAULT_GOAL := help
 
@@ -38,6 +38,9 @@ lint: dev  ## check format, style and types
 
 acceptance: dev  ## drive every case of the result table, into runs/acceptance
 	@$(VENV_PYTHON) -m tests.workshop.acceptance.acceptance
+
+stacks: dev  ## drive a lane change over ROS with the messages of each stack, and with ours (25 min)
+	@$(VENV_PYTHON) -m tests.workshop.acceptance.stacks --update ampc_ros/doc/stacks.md
 
 certificates: dev  ## certify every shipped gain table anew, into the package (4 min)
 	@$(VENV_PYTHON) launch_scripts/certify.py --shipped
