@@ -23,6 +23,7 @@ from rich.text import Text
 
 from ampc_msgs_config import config
 from ampc_msgs_config.stack_file import Stack, load_stack
+from launch_scripts.run.options import check_namespace
 from launch_scripts.run.processes import (
     NODE_DIED,
     WRONG_SET_UP,
@@ -36,6 +37,8 @@ NODES = {
     "gate": "ampc_ros.nodes.gate_node",
 }
 """Nodes that every stack starts, and their modules."""
+WHOLE = ("laps", "seed")
+"""Parameters that ROS takes as whole numbers only."""
 PERIOD = 0.2
 """Wall time between two looks at the nodes [s]."""
 
@@ -54,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with Processes(options.log) as nodes:
             start_stack(nodes, stack, options)
             return watch(nodes, ended, console)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG_SET_UP
 
@@ -72,9 +75,12 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("-r", "--remap", action="append", default=[], metavar="TOPIC=OTHER", help=text)
     add("--output", type=Path, help="new folder for a recording; default: none")
     add("--namespace", default="", help="namespace of nodes and topics; default: none")
-    text = "folder of the nodes' log files; default: %(default)s"
-    add("--log", type=Path, default=Path("runs/connect"), help=text)
-    return parser.parse_args(arguments)
+    text = "folder of the nodes' log files; default: below runs"
+    add("--log", type=Path, help=text)
+    options = parser.parse_args(arguments)
+    name = f"connect_{Path(options.stack).stem}_{time.strftime('%Y%m%d_%H%M%S')}"
+    options.log = options.log or Path("runs") / name
+    return options
 
 
 def choose_stack(options: argparse.Namespace) -> Stack:
@@ -83,15 +89,19 @@ def choose_stack(options: argparse.Namespace) -> Stack:
     Raises:
         ValueError: File, key, value; or an option that is no NAME=VALUE.
     """
+    check_namespace(options.namespace)
     stack = load_stack(options.stack)
     parameters = stack.parameters | {
         name: parsed(name, value) for name, value in map(pair, options.parameter)
     }
     if options.vehicle:
         parameters["vehicle"] = options.vehicle
+    if missing := [name for name in stack.required if not parameters.get(name)]:
+        raise ValueError(f"{options.stack} needs -p {missing[0]}=VALUE")
     return Stack(
         about=stack.about,
         parameters=parameters,
+        required=stack.required,
         remappings=stack.remappings | dict(map(pair, options.remap)),
     )
 
@@ -110,7 +120,7 @@ def pair(text: str) -> tuple[str, str]:
 
 
 def parsed(name: str, value: str) -> Any:
-    """Return the value of a parameter as YAML reads it.
+    """Return the value of a parameter as YAML reads it; whole numbers are numbers of ROS, too.
 
     Raises:
         ValueError: It is no single value.
@@ -121,7 +131,8 @@ def parsed(name: str, value: str) -> Any:
         raise ValueError(f"--parameter {name} = {value!r}: no YAML value") from error
     if not isinstance(content, bool | int | float | str):
         raise ValueError(f"--parameter {name} = {value!r} must be one value")
-    return content
+    is_whole = isinstance(content, int) and not isinstance(content, bool)
+    return float(content) if is_whole and name not in WHOLE else content
 
 
 def start_stack(nodes: Processes, stack: Stack, options: argparse.Namespace) -> None:

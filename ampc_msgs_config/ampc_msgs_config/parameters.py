@@ -13,6 +13,8 @@ from ampc_msgs_config.validation import Checked, choice, described, number
 
 GRAVITY = 9.81
 """Acceleration of gravity [m/s^2]."""
+REAR_AXLE = -1.0
+"""Value of `base_link_to_cg` for odometry of the rear axle; any other value is a distance [m]."""
 MIN_SPEED = 1.0
 """Smallest speed of the model, which divides by the speed [m/s]."""
 FRICTION_SHARE = 1.3

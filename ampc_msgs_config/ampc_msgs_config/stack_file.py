@@ -18,6 +18,9 @@ class Stack(Checked):
     parameters: Annotated[
         dict[str, Scalar], described("Parameters of controller, planner and gate, by name.")
     ]
+    required: Annotated[
+        tuple[str, ...], described("Parameters that a user must give, such as path.")
+    ] = ()
     remappings: Annotated[
         dict[str, str], described("Topic of the stack by the topic of this project.")
     ]

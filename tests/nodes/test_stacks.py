@@ -80,11 +80,11 @@ def test_every_stack_has_a_launch_file_with_its_arguments_as_defaults(
     file.generate_launch_description()
     stack = load_stack(name)
     declared = {
-        call.args[0]: call.kwargs["default_value"]
+        call.args[0]: call.kwargs.get("default_value")
         for call in made[".actions"].DeclareLaunchArgument.call_args_list
     }
     expected = {RENAMED.get(key, key): each for key, each in as_text(stack.parameters).items()}
-    assert declared == REAL | expected
+    assert declared == REAL | expected | dict.fromkeys(stack.required)
     text = (LAUNCH / "ampc.launch.py").read_text(encoding="utf-8")
     assert declared.keys() <= set(re.findall(r'^    "(\w+)": \(', text, flags=re.MULTILINE))
     renamed = [call.kwargs for call in made["_ros.actions"].SetRemap.call_args_list]
@@ -119,6 +119,8 @@ def ended(*arguments: str) -> tuple[int, str]:
         (["nav2", "-p", "speed=[1, 2]"], "--parameter speed = '[1, 2]' must be one value"),
         (["nav2", "-r", "=/plan"], "'=/plan' must be written NAME=VALUE"),
         (["nav2", "--vehicle", "lorry"], "'lorry' is neither a file nor one of the shipped"),
+        (["f1tenth"], "f1tenth needs -p path=VALUE"),
+        (["nav2", "--namespace", "bad name!"], "--namespace: 'bad name!' must consist of"),
         (["nav2", "-p", "output=twisted"], "output = 'twisted' must be one of twist"),
     ],
 )

@@ -56,7 +56,7 @@ class DerivedTopics:
 
         Args:
             vehicle: Shipped vehicle, or YAML file.
-            base_link_to_cg: From `odom` to the centre of gravity [m]; negative: the rear axle.
+            base_link_to_cg: From `odom` to the centre of gravity [m]; REAR_AXLE: the rear axle.
             prefix: Prefix of the frames of the car.
             transforms: Whether transforms are derived.
             pictures: Whether pictures are derived.

@@ -38,7 +38,7 @@ def load_outline(vehicle: str, base_link_to_cg: float) -> tuple[Outline, Steerin
     Args:
         vehicle: Shipped vehicle, or YAML file.
         base_link_to_cg: From the point that `odom` describes forward to the centre of gravity [m];
-            negative: the rear axle.
+            REAR_AXLE: the rear axle.
 
     Raises:
         ValueError: The file is missing or wrong.

@@ -29,6 +29,7 @@ from ampc_msgs_config.nodes.inputs import Inputs
 from ampc_msgs_config.nodes.live_transforms import LiveTransforms
 from ampc_msgs_config.nodes.marker_messages import load_outline, marker
 from ampc_msgs_config.nodes.scene import EMPTY_PATH, View, shapes, thin_points
+from ampc_msgs_config.parameters import REAR_AXLE
 from ampc_msgs_config.recording.transforms import prefix_of
 from ampc_msgs_config.types import Array, VehicleState
 
@@ -47,7 +48,11 @@ class MarkerNode(BaseNode):
         super().__init__("markers")
         vehicle = declare(self, "vehicle", "paper", "car to draw", shipped_or_file("vehicles"))
         to_cg = declare(
-            self, "base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20)
+            self,
+            "base_link_to_cg",
+            REAR_AXLE,
+            "odom to centre of gravity [m]; -1: rear axle",
+            (-20, 20),
         )
         text, allowed = "prefix of the car's frames in /tf", "such as car1/; empty: the namespace"
         prefix = prefix_of(declare(self, "frame_prefix", "", text, allowed), self.get_namespace())

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.parameters import ChassisParameters, SizeParameters
+from ampc_msgs_config.parameters import REAR_AXLE, ChassisParameters, SizeParameters
 from ampc_msgs_config.types import Array, VehicleState
 
 MAX_DRAWN_POINTS = 500
@@ -77,8 +77,8 @@ class View(NamedTuple):
 
 
 def car_of(chassis: ChassisParameters, size: SizeParameters, base_link_to_cg: float) -> Outline:
-    """Return the car of a vehicle file; with a negative distance, `odom` is at the rear axle."""
-    to_rear = 0.0 if base_link_to_cg < 0 else base_link_to_cg - chassis.cg_to_rear_axle
+    """Return the car of a vehicle file; with REAR_AXLE, `odom` is at the rear axle."""
+    to_rear = 0.0 if base_link_to_cg == REAR_AXLE else base_link_to_cg - chassis.cg_to_rear_axle
     overhangs = size.front_overhang, size.rear_overhang
     return Outline(chassis.wheelbase, size.width, *overhangs, rear_axle=to_rear)
 

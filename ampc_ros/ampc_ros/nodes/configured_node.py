@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from ampc_msgs_config.config import find, shipped_or_file
 from ampc_msgs_config.nodes.base_node import declare
 from ampc_msgs_config.nodes.failed_callbacks import shortened
-from ampc_msgs_config.parameters import ASSUMED_LAG
+from ampc_msgs_config.parameters import ASSUMED_LAG, REAR_AXLE
 from ampc_msgs_config.vehicle_warnings import vehicle_warnings
 from ampc_ros.certificate import certificate_problem
 from ampc_ros.configuration import (
@@ -101,7 +101,8 @@ class ConfiguredNode(ManagedNode):
         names = f"{', '.join(CONTROLLERS)}, or FILE.py:CLASS"
         check_controller(offer("controller", default.controller, "kind of controller", names))
         offer("vehicle", default.vehicle, "car", shipped_or_file("vehicles"))
-        offer("base_link_to_cg", -1.0, "odom to centre of gravity [m]; -1: rear axle", (-1, 20))
+        text = "odom to centre of gravity [m], negative ahead of it; -1: odom of the rear axle"
+        offer("base_link_to_cg", REAR_AXLE, text, (-20, 20))
         offer("fixed_frame", "", "frame of path and odom", FRAME)
         text = "start with the estimates of the last drive, in real time"
         self.estimates = EstimateStore(
@@ -191,7 +192,7 @@ class ConfiguredNode(ManagedNode):
         """Return the choices of the parameters, some of them changed."""
         values = {name: self.get_parameter(name).value for name in Choices._fields[:-1]}
         values |= {key: value for key, value in changed.items() if key in values}
-        if values["base_link_to_cg"] < 0:
+        if values["base_link_to_cg"] == REAR_AXLE:
             values["base_link_to_cg"] = None
         return Choices(**values, simulated_time=self.is_simulated)
 

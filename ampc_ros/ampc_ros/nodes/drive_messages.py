@@ -102,7 +102,7 @@ class Pedals:
     def fill(self, message: Any, command: DriveCommand) -> None:
         """Fill a carla_msgs/CarlaEgoVehicleControl."""
         message.header.stamp, message.header.frame_id = command.stamp, topics.BASE_LINK
-        share = -command.angle / command.max_angle
+        share = -command.angle / command.max_angle if command.max_angle > 0.0 else 0.0
         message.steer = min(max(share, -1.0), 1.0)
         pedal = self.step(command)
         message.throttle, message.brake = max(pedal, 0.0), max(-pedal, 0.0)

@@ -124,7 +124,7 @@ class PlannerNode(BaseNode):
         if followed.points is not None:
             self.points, self.scenario = followed.points, followed.route
             self.plan = SpeedPlanner(followed.route) if followed.route else None
-        if self.follower and self.follower.kind == AUTOWARE and self.scenario:
+        if self.follower and self.follower.kind == AUTOWARE:  # an empty one stops the car
             self.publish_path(self.points, followed.stamp_ns)
 
     def destroy_node(self) -> None:
@@ -146,7 +146,9 @@ class PlannerNode(BaseNode):
         is_first, frame_id = not self.frame_id, message.header.frame_id
         self.frame_id = self.frame_id or frame_id
         if self.follower and self.follower.frame is None:
-            self.follower.use_frame(FixedFrame(self, self.frame_id))
+            frame = FixedFrame(self, self.get_parameter("fixed_frame").value)
+            frame.accept(frame_id)
+            self.follower.use_frame(frame)
         if isinstance(self.scenario, Scenario) and (
             not self.path_is_out or (is_first and frame_id != ros.MAP)
         ):

@@ -29,6 +29,7 @@ def describe_stack(name: str, folder: Path) -> Any:
     arguments = {RENAMED.get(key, key): each for key, each in as_text(stack.parameters).items()}
     return launch.LaunchDescription(
         [
+            *(declare(key, description=f"{name} needs it") for key in stack.required),
             *(
                 declare(key, default_value=each, description=f"as {name} needs it")
                 for key, each in (REAL | arguments).items()

@@ -83,10 +83,10 @@ class Watchdog:
 
     def _problem(self, limit: float, simulated: float) -> str:
         if self.is_simulated and self.stopped > limit:
-            return f"no command for {self.silence:.1f} s: {CLOCK} has stopped"
+            return f"no command for {max(self.silence, 0.0):.1f} s: {CLOCK} has stopped"
         if self.silence <= limit or (self.is_simulated and simulated <= limit):
             return ""
-        missing = f"no command for {self.silence:.1f} s"
+        missing = f"no command for {max(self.silence, 0.0):.1f} s"
         if self.jump and not self.is_simulated:
             return f"{missing}: the system clock jumped by {self.jump:+.1f} s"
         return missing

@@ -1,6 +1,6 @@
 """Defects of odometry that last: the car can be steered, but a publisher has to be corrected."""
 
-from ampc_msgs_config.parameters import ChassisParameters
+from ampc_msgs_config.parameters import REAR_AXLE, ChassisParameters
 from ampc_msgs_config.types import VehicleState
 from ampc_ros.supervision.measuring_point import MOST_OMISSION, MeasuringPointEstimate
 from ampc_ros.supervision.yaw_rate import MISSING, STUCK, YawRateCheck
@@ -60,10 +60,12 @@ class OdometryMonitor:
         if point is None or not point.contradicts(l_r - base_link_to_cg):
             return ""
         d, most = point.ahead_of_axle, 2 * point.deviation
+        wanted = f"{l_r - d:.1f}"
+        wanted = "-0.99" if float(wanted) == REAR_AXLE else wanted  # -1 means the rear axle
         return (
             f"odom: measuring_point: in turns the position moves as a point {d:.1f} m "
             f"(+- {most:.1f} m) ahead of the rear axle, but base_link_to_cg = "
             f"{base_link_to_cg:.3g} m means {l_r - base_link_to_cg:.1f} m: "
-            f"set base_link_to_cg to {l_r - d:.1f} m "
+            f"set base_link_to_cg to {wanted} m "
             f"(0 m: odometry at the centre of gravity, {l_r:.3g} m: at the rear axle)"
         )

@@ -16,7 +16,9 @@ class PlaybackAdvice:
 
     def __init__(self) -> None:
         """Begin without an input."""
-        self._early, self._without_path = 0, 0.0
+        self._early = 0
+        self._without_path: float | None = None
+        """Wall time since which a path is awaited [s]."""
         self._reported: set[str] = set()
 
     def is_new(self, sentence: str) -> bool:
@@ -37,7 +39,7 @@ class PlaybackAdvice:
         state, is_simulated = supervisor.state, supervisor.config.simulated_time
         count = supervisor.rejected["in_the_future"]
         early, self._early = count > self._early, count
-        if state is None or supervisor.path is not None:
+        if state is None or supervisor.path is not None or self._without_path is None:
             self._without_path = wall
         if early and is_simulated:
             return "odom is ahead of /clock, whose steps are too large: play with --clock 1000"
@@ -48,7 +50,7 @@ class PlaybackAdvice:
             if is_simulated:
                 return f"odom is {age:.0f} s behind /clock: only one player may publish /clock"
             return f"odom arrives, but its stamps are {age:.0f} s old: {PLAY}"
-        if wall - self._without_path > PATH_PATIENCE:
+        if is_simulated and wall - self._without_path > PATH_PATIENCE:
             remedy = "play the bag from its start, or publish the path transient local"
             return f"reference_path is missing, --start-offset leaves it out: {remedy}"
         return ""
