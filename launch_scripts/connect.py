@@ -37,7 +37,7 @@ NODES = {
     "gate": "ampc_ros.nodes.gate_node",
 }
 """Nodes that every stack starts, and their modules."""
-WHOLE = ("laps", "seed")
+WHOLE_NUMBERS = ("laps", "seed")
 """Parameters that ROS takes as whole numbers only."""
 PERIOD = 0.2
 """Wall time between two looks at the nodes [s]."""
@@ -132,7 +132,7 @@ def parsed(name: str, value: str) -> Any:
     if not isinstance(content, bool | int | float | str):
         raise ValueError(f"--parameter {name} = {value!r} must be one value")
     is_whole = isinstance(content, int) and not isinstance(content, bool)
-    return float(content) if is_whole and name not in WHOLE else content
+    return float(content) if is_whole and name not in WHOLE_NUMBERS else content
 
 
 def start_stack(nodes: Processes, stack: Stack, options: argparse.Namespace) -> None:

@@ -150,3 +150,15 @@ def test_an_interrupt_ends_connect_and_its_nodes_and_is_no_error(tmp_path: Path)
         wait_for(lambda: ": ready" in (tmp_path / "gate.log").read_text(encoding="utf-8"))
         process.send_signal(signal.SIGINT)
         assert process.wait(TIMEOUT) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "used"), [("-1.0", None), ("-0.9", -0.9), ("-2.2", -2.2), ("0.0", 0.0)]
+)
+def test_odometry_ahead_of_the_centre_of_gravity_is_a_distance_and_only_minus_one_the_rear_axle(
+    given: str, used: float | None
+) -> None:
+    with ros_context(base_link_to_cg=given, controller="pure_pursuit"):
+        node = ControllerNode()
+        assert node.choices({}).base_link_to_cg == used
+        node.destroy_node()
