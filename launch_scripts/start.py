@@ -23,7 +23,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.paths.path_file import Route
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from launch_scripts.run.options import (
@@ -46,6 +47,8 @@ START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
 FAULTED = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
 """Topics that the controller receives from the injector during fault injection."""
+LEAST_RATE, LARGEST_RATE = 50.0, 200.0
+"""Rates of the states in real time; between them, that of the controller [Hz]."""
 GRACE_AFTER_NODE_DEATH = 1.5
 """Wall time during which the other nodes continue without a dead node, in real time [s]."""
 STOP_REQUESTED = "a stop is requested"
@@ -136,6 +139,8 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     control["store_estimates"] = False
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
+    period = load(ControllerSettings, find("controllers", options["settings"])).sample_time
+    plant["rate"] = min(max(1.0 / period, LEAST_RATE), LARGEST_RATE)
     plant["vehicle"] = options["true_vehicle"] or options["vehicle"]
     record = {"output": str(run.bag), "use_sim_time": lock_step, "vehicle": options["vehicle"]}
     look = {key: common[key] for key in ("lock_step", "vehicle")}

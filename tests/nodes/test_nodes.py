@@ -122,7 +122,7 @@ WRONG_VALUES = [
     (
         ControllerNode,
         "base_link_to_cg:=.nan",
-        "base_link_to_cg out of range Min: -1.0, Max: 20.0, value: nan",
+        "base_link_to_cg out of range Min: -20.0, Max: 20.0, value: nan",
     ),
     (ControllerNode, "base_link_to_cg:=50.0", "base_link_to_cg out of range"),
     (PlannerNode, "scenario:=sc99", "'sc99' is neither a file nor one of the shipped scenarios"),
