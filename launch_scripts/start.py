@@ -139,8 +139,7 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     control["store_estimates"] = False
     plant = {key: options[key] for key in ("friction", "noise", "seed", "time_out")}
     plant["start_time_out"] = START_TIME_OUT
-    period = load(ControllerSettings, find("controllers", options["settings"])).sample_time
-    plant["rate"] = min(max(1.0 / period, LEAST_RATE), LARGEST_RATE)
+    plant["rate"] = state_rate(options["settings"])
     plant["vehicle"] = options["true_vehicle"] or options["vehicle"]
     record = {"output": str(run.bag), "use_sim_time": lock_step, "vehicle": options["vehicle"]}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
@@ -161,6 +160,16 @@ def start_nodes(nodes: Processes, run: Run) -> None:
         gated = {ros.STEERING_COMMAND: ros.GATE_STEERING, ros.TARGET_SPEED: ros.GATE_SPEED}
     nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant, gated)
     nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
+
+
+def state_rate(settings: str) -> float:
+    """Return the rate of the states in real time: at least that of the controller [Hz].
+
+    Args:
+        settings: Settings of the controller: shipped ones, or file.
+    """
+    period = load(ControllerSettings, find("controllers", settings)).sample_time
+    return min(max(1.0 / period, LEAST_RATE), LARGEST_RATE)
 
 
 def follow(nodes: Processes, run: Run, console: Console) -> None:

@@ -29,7 +29,8 @@ from launch_scripts.bags.salvage import (
 )
 
 SQLITE_MAGIC = b"SQLite format 3\0"
-ENDINGS = (".mcap", ".db3")
+SQLITE_ENDING = ".db3"
+ENDINGS = (".mcap", SQLITE_ENDING)
 """Endings of the files of a bag, of which one that is compressed has a further one."""
 
 

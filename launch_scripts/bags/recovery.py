@@ -21,12 +21,18 @@ from ampc_msgs_config.recording.bag_metadata import (
     write_metadata,
 )
 from ampc_msgs_config.types import NANOSECONDS
-from launch_scripts.bags.bag import bag_files, check_format, damage_of, open_decompressed, reason_of
+from launch_scripts.bags.bag import (
+    SQLITE_ENDING,
+    bag_files,
+    check_format,
+    damage_of,
+    open_decompressed,
+    reason_of,
+)
 from launch_scripts.bags.salvage import Salvage, salvage
 
 LONG_SILENCE = NANOSECONDS
 """Topics whose last message is earlier than this before the end are listed [ns]."""
-SQLITE_ENDING = ".db3"
 KEPT_KEYS = ("custom_data", "ros_distro")
 """Keys of the old `metadata.yaml` that the new one keeps."""
 

@@ -96,6 +96,13 @@ def test_carla_receives_shares_within_their_bounds_with_the_opposite_sign(
     assert [message.reverse, message.hand_brake, message.manual_gear_shift] == [False] * 3
 
 
+def test_a_car_that_cannot_steer_receives_no_share() -> None:
+    kind, fill = load_output("carla")
+    message = kind()
+    fill(message, COMMAND._replace(max_angle=0.0))
+    assert message.steer == 0.0
+
+
 @pytest.mark.parametrize("drag", [0.01, 0.1])
 @pytest.mark.parametrize("strength", [2.0, 6.0])
 def test_the_pedals_reach_a_speed_without_a_lasting_error_and_hold_the_car(

@@ -203,6 +203,33 @@ def test_the_planner_drives_along_the_path_of_another_one_and_brakes_when_it_is_
         spin_until(executor, lambda: speed_after(straight, 1.0) == pytest.approx(6.0))
 
 
+@pytest.mark.usefixtures("own_domain")
+def test_an_empty_trajectory_becomes_an_empty_path_and_the_next_one_is_followed(
+    trajectory: Any,
+) -> None:
+    with ros_context(follow="autoware") as executor:
+        planner, peer = PlannerNode(), Peer()
+        heard: list[int] = []
+
+        def hear(message: PathMessage) -> None:
+            heard.append(len(message.poses))
+
+        peer.create_subscription(PathMessage, ros.REFERENCE_PATH, hear, ros.LATCHED)
+        add(executor, planner, peer)
+        assert planner.follower
+        peer.destroy_publisher(peer.paths)
+        spin_until(executor, lambda: peer.odom.get_subscription_count() > 0)
+        peer.send(None, 0.0)
+        spin_until(executor, lambda: planner.follower.frame is not None)  # type: ignore[union-attr]
+        full = trajectory(ARC, np.full(len(ARC), 5.0))
+        for data in (full, trajectory(ARC[:0], []), full):
+            known = len(heard)
+            planner.follower.on_data(data)
+            spin_until(executor, lambda count=known: len(heard) > count)  # type: ignore[misc]
+        assert heard == [len(ARC), 0, len(ARC)]
+        assert planner.plan is not None
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [

@@ -133,6 +133,13 @@ def test_the_bag_of_a_run_holds_the_offline_loop_to_the_last_bit(tmp_path: Path)
     assert "MSE of the cross-track error" in said
 
 
+@pytest.mark.parametrize(("settings", "rate"), [("table3", 50), ("50hz", 50), ("100hz", 100)])
+def test_the_simulated_car_sends_states_at_the_rate_of_a_fast_controller(
+    settings: str, rate: float
+) -> None:
+    assert start.state_rate(settings) == pytest.approx(rate)
+
+
 def test_a_path_of_a_user_is_driven_in_real_time(tmp_path: Path) -> None:
     road = tmp_path / "road.csv"
     rows = "".join(f"{0.6 * x},{0.8 * x},7.0,ignored\n" for x in range(23))

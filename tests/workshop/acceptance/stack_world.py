@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,6 @@ class Drive:
     speed: float = 0.0
     """Target speed [m/s]."""
     commands: int = 0
-    joints: dict[str, float] = field(default_factory=dict)
 
 
 def lane_change(scale: float) -> Array:
@@ -75,7 +74,7 @@ def lane_change(scale: float) -> Array:
     return scale * np.column_stack((x, y))
 
 
-def obey_twist(car: Car, wheelbase: float, twist: Twist, drive: Drive) -> None:
+def obey_twist(wheelbase: float, twist: Twist, drive: Drive) -> None:
     """Steer as a car does that receives speed and yaw rate."""
     drive.speed, rate = twist.linear.x, twist.angular.z
     if abs(drive.speed) > 0.01:
@@ -151,7 +150,7 @@ class World(Node):
 
     def on_twist(self, twist: Twist) -> None:
         """Use speed and yaw rate."""
-        obey_twist(self.car, self.vehicle.chassis.wheelbase, twist, self.drive)
+        obey_twist(self.vehicle.chassis.wheelbase, twist, self.drive)
         self.drive.commands += 1
 
     # The stacks ----------------------------------------------------------------------------------
