@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from ampc_msgs_config import config
 from ampc_msgs_config.parameters import SteeringParameters
+from ampc_msgs_config.types import Array
 from sim_vehicle.actuator import angle_after, lag_share
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import load_vehicle_file
@@ -68,8 +69,12 @@ def test_delay_lag_and_rate_act_one_after_the_other(
     command: float, lag: float, rate: float
 ) -> None:
     """The rate limit ends within a step, except in the first case."""
+
+    def turning(_: float, angle: Array) -> Array:
+        return np.clip((command - angle) / lag, -rate, rate)
+
     solved = solve_ivp(
-        lambda _, angle: np.clip((command - angle) / lag, -rate, rate),
+        turning,
         (0.0, 0.301),
         [0.0],
         t_eval=STEP * np.arange(1, 61),

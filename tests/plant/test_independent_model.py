@@ -127,7 +127,7 @@ def weave(vehicle: Vehicle, wind: tuple[Wind, ...], step_ns: int) -> Array:
 def exact_weave(vehicle: Vehicle, wind: tuple[Wind, ...], step: float) -> Array:
     """Return the state of `weave` by SciPy, with its own actuator and gusts in the equations."""
     lag, delay, limit = (getattr(vehicle.steering, key) for key in ("lag", "delay", "max_angle"))
-    z = np.zeros(SIZE)
+    z: Array = np.zeros(SIZE)
     z[[2, CAR_V_X]] = 0.4, 16.0
 
     def derivative(t: float, z: Array, command: float) -> Array:
