@@ -52,7 +52,7 @@ class Roads(NamedTuple):
     profile: Array
     """(roads, 2) whether over distance, and period of the profiles."""
     wind: Array
-    """(w, 2) velocity of the air in each integration step [m/s]."""
+    """(w, 3, 2) velocity of the air at begin, middle and end of each integration step [m/s]."""
     first_wind: Integers
     """(roads + 1,)."""
 

@@ -30,26 +30,36 @@ def shift_queue(waiting: Array, command: float, steps: int) -> None:
 
 
 @in_place
-def lag_share(step: float, steering: tuple[float, ...]) -> float:
-    """Return 1 - exp(-step / lag): the share of the distance to its target covered in one step."""
+def lag_share(time: float, steering: tuple[float, ...]) -> float:
+    """Return 1 - exp(-time / lag): the share of the distance to its target covered in a time."""
     _, _, lag, _ = steering
-    return 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+    return 1.0 - math.exp(-time / lag) if lag > 0.0 else 1.0
 
 
 @inlined
-def next_angle(
-    angle: float, command: float, share: float, step: float, steering: tuple[float, ...]
+def angle_after(
+    time: float, angle: float, command: float, share: float, steering: tuple[float, ...]
 ) -> float:
-    """Return the road-wheel angle one step later [rad].
+    """Return the road-wheel angle some time later [rad], exact under a constant command.
+
+    The wheel turns at its largest rate until its distance to the target is rate times lag, then
+    approaches the target exponentially. An ideal actuator is at its target after 0 s.
 
     Args:
+        time: Duration [s].
         angle: Road-wheel angle now [rad].
-        command: Demanded angle during the whole step [rad].
-        share: `lag_share` of the step.
-        step: Duration [s].
+        command: Demanded angle during this time [rad].
+        share: `lag_share` of this time.
         steering: Largest angle and rate, lag, delay.
     """
-    delta_max, rate_max, _, _ = steering
+    delta_max, rate_max, lag, _ = steering
     target = min(max(command, -delta_max), delta_max)
-    turn = min(max(share * (target - angle), -rate_max * step), rate_max * step)
-    return angle + turn
+    distance = abs(target - angle)
+    corner = rate_max * lag if lag > 0.0 else 0.0
+    if distance <= corner:
+        return angle + share * (target - angle)
+    ramp = distance - corner
+    if rate_max * time < ramp:  # false for an infinite rate and 0 s, whose product is nan
+        return angle + math.copysign(rate_max * time, target - angle)
+    rest = corner * math.exp((ramp / rate_max - time) / lag) if lag > 0.0 else 0.0
+    return target - math.copysign(rest, target - angle)

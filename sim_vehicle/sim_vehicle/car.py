@@ -76,28 +76,30 @@ class Car:
         return float(self.state[CAR_STEERING])
 
     def advance(self, steering: float, target_speed: float, wind: Array) -> None:
-        """Integrate one control period: one step for each sample of the wind.
+        """Integrate one control period: one step for each row of the wind.
 
         Args:
             steering: Commanded road-wheel angle [rad].
             target_speed: Target speed of the driver [m/s].
-            wind: (n, 2) velocity of the air in `map` [m/s].
+            wind: Velocity of the air in `map` [m/s]: (n, 3, 2) at begin, middle and end of each
+                step, or (n, 2) constant during each step.
 
         Raises:
             ValueError: Names the argument, its value and its bound.
         """
-        if wind.ndim != 2 or wind.shape[1] != 2 or len(wind) == 0:
-            raise ValueError(f"wind has shape {wind.shape}, must be (n, 2) with n > 0")
+        if wind.shape[1:] not in ((2,), (3, 2)) or len(wind) == 0:
+            raise ValueError(f"wind has shape {wind.shape}, must be (n, 2) or (n, 3, 2), n > 0")
         _check(steering=steering, target_speed=target_speed)
         _check(wind=float(wind.max()))
         _check(wind=float(wind.min()))
         self.state = self.state.copy()  # references to the old state stay valid
+        stages = wind if wind.ndim == 3 else np.repeat(wind[:, np.newaxis], 3, axis=1)
         drive_steps(
             self.state,
             self.waiting,
             steering,
             target_speed,
-            wind,
+            stages,
             0,
             len(wind),
             self.friction,

@@ -62,7 +62,7 @@ class Simulation:
 
     def wind(self) -> tuple[float, float]:
         """Return the present wind in `map` [m/s]."""
-        x, y = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, 1)[0]
+        x, y = wind_of_steps(self.scenario.wind, self.elapsed_ns, self.step_ns, 1)[0, 0]
         return float(x), float(y)
 
     def advance(self, steering: float, target_speed: float, period_ns: int) -> None:

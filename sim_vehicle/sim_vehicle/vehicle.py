@@ -6,12 +6,7 @@ left, front right, rear left, rear right. Position and velocity are those of the
 
 from ampc_msgs_config.compiled import in_place, inlined
 from ampc_msgs_config.types import Array
-from sim_vehicle.actuator import (
-    delayed_command,
-    lag_share,
-    next_angle,
-    shift_queue,
-)
+from sim_vehicle.actuator import angle_after, delayed_command, lag_share, shift_queue
 from sim_vehicle.aerodynamics import air_forces
 from sim_vehicle.driver import CORNERING_LAG, pedal_forces, rolling_resistance, stands
 from sim_vehicle.elementary import sine_and_cosine
@@ -39,8 +34,8 @@ SLIP = 9
 CAR_STEERING = 13
 """Road-wheel angle [rad]."""
 SIZE = 14
-STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
-"""Classical Runge-Kutta method: time of each stage in steps, and its weight in sixths."""
+STAGES = ((0, 1.0), (1, 2.0), (1, 2.0), (2, 1.0))
+"""Classical Runge-Kutta method: time of each stage in half steps, and its weight in sixths."""
 BODY_SIZE = SLIP
 """Number of states of the body, which come first."""
 BODY_RATE, BODY_TOTAL, BODY_TRIAL = LANES, LANES + BODY_SIZE, LANES + 2 * BODY_SIZE
@@ -99,22 +94,30 @@ def derivative(
 def rk4_step(
     state: Array,
     target_speed: float,
-    wind: tuple[float, float],
+    angles: tuple[float, float, float],
+    wind: Array,
+    row: int,
     road: tuple[float, float],
     vehicle: VehicleNumbers,
     work: Array,
 ) -> None:
-    """Advance the state of body and slips in place by one step; see `derivative`."""
+    """Advance the state of body and slips in place by one step; see `derivative`.
+
+    Road-wheel angle [rad] and row of the wind state three values: at begin, middle and end of the
+    step.
+    """
     step = road[1]
     for i in range(BODY_SIZE):
         work[BODY_RATE + i] = work[BODY_TOTAL + i] = 0.0
     for i in range(WHEELS):
         work[S_RATE + i] = work[S_TOTAL + i] = 0.0
-    for ahead, weight in STAGES:
-        reach = ahead * step
+    for half, weight in STAGES:
+        reach = 0.5 * half * step
+        set_steering(work, angles[half])
+        air = wind[row, half, 0], wind[row, half, 1]
         for i in range(BODY_SIZE):
             work[BODY_TRIAL + i] = state[i] + reach * work[BODY_RATE + i]
-        derivative(work, target_speed, wind, road, (reach, weight), vehicle)
+        derivative(work, target_speed, air, road, (reach, weight), vehicle)
         for i in range(BODY_SIZE):
             work[BODY_TOTAL + i] += weight * work[BODY_RATE + i]
     for i in range(BODY_SIZE):
@@ -144,7 +147,7 @@ def drive_steps(
         waiting: (D,) steering commands in the pure delay [rad].
         command: Steering angle commanded during these steps [rad].
         target_speed: Target speed of the driver [m/s].
-        wind: (n, 2) velocity of the air in `map` during each step [m/s].
+        wind: (n, 3, 2) velocity of the air in `map` at begin, middle and end of each step [m/s].
         first: Row of `wind` for the first step.
         steps: Number of steps.
         friction: Coefficient mu.
@@ -155,15 +158,17 @@ def drive_steps(
     initialise_wheels(work, vehicle)
     for i in range(WHEELS):
         work[S + i] = state[SLIP + i]
-    share, road = lag_share(step, vehicle.steering), (friction, step)
+    servo, half, road = vehicle.steering, 0.5 * step, (friction, step)
+    half_share, share = lag_share(half, servo), lag_share(step, servo)
     for i in range(steps):
-        delayed = delayed_command(waiting, command, i)
-        state[CAR_STEERING] = next_angle(
-            state[CAR_STEERING], delayed, share, step, vehicle.steering
+        delayed, angle = delayed_command(waiting, command, i), state[CAR_STEERING]
+        angles = (
+            angle_after(0.0, angle, delayed, 0.0, servo),
+            angle_after(half, angle, delayed, half_share, servo),
+            angle_after(step, angle, delayed, share, servo),
         )
-        set_steering(work, state[CAR_STEERING])
-        air = wind[first + i, 0], wind[first + i, 1]
-        rk4_step(state, target_speed, air, road, vehicle, work)
+        rk4_step(state, target_speed, angles, wind, first + i, road, vehicle, work)
+        state[CAR_STEERING] = angles[2]
         if stands(state[CAR_V_X], state[CAR_V_Y], target_speed):
             state[CAR_V_X] = 0.0
     for i in range(WHEELS):

@@ -27,7 +27,9 @@ DRIVE, BRAKE = 40, 44
 """Shares of the wheel in the forces of engine and brakes."""
 TYRE = 48
 """The nine numbers of the tyre."""
-LANES = TYRE + 9 * WHEELS
+TURNED = TYRE + 9 * WHEELS
+"""Road-wheel angle of `COS` and `SIN` [rad]."""
+LANES = TURNED + 1
 
 
 @in_place
@@ -41,7 +43,7 @@ def initialise_wheels(work: Array, vehicle: VehicleNumbers) -> None:
         work[ARM_Y + i] = track * (0.5 - i % 2)
         work[DRIVE + i] = 0.5 * (f_drive if front else 1.0 - f_drive)
         work[BRAKE + i] = 0.5 * (f_brake if front else 1.0 - f_brake)
-        work[COS + i], work[SIN + i] = 1.0, 0.0
+        work[COS + i], work[SIN + i], work[TURNED] = 1.0, 0.0, 0.0
         for k in range(9):
             tyre = vehicle.front_tyre[k] if front else vehicle.rear_tyre[k]
             work[TYRE + WHEELS * k + i] = tyre
@@ -49,10 +51,12 @@ def initialise_wheels(work: Array, vehicle: VehicleNumbers) -> None:
 
 @inlined
 def set_steering(work: Array, angle: float) -> None:
-    """Fill cosine and sine of the front wheels for a road-wheel angle [rad]."""
-    sin, cos = sine_and_cosine(angle)
-    for i in range(2):
-        work[COS + i], work[SIN + i] = cos, sin
+    """Fill cosine and sine of the front wheels for a road-wheel angle [rad], if it has changed."""
+    if angle != work[TURNED]:
+        sin, cos = sine_and_cosine(angle)
+        work[TURNED] = angle
+        for i in range(2):
+            work[COS + i], work[SIN + i] = cos, sin
 
 
 @inlined

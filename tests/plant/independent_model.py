@@ -89,12 +89,19 @@ def rates(z: Array, delta: float, wind: Array, target: float, mu: float, h: floa
     )
 
 
-def road_wheel_angle(angle: float, command: float, h: float, car: Vehicle) -> float:
-    """Return the angle [rad] after a step of h [s]: stop, first-order lag, then rate limit."""
+def road_wheel_angle(angle: float, command: float, time: Array, car: Vehicle) -> Array:
+    """Return the angles [rad] at times (n,) [s] under a constant command.
+
+    While the distance to the target is greater than rate times lag, it falls with the rate. At
+    times after that it falls exponentially.
+    """
     target = np.clip(command, -car.steering.max_angle, car.steering.max_angle)
-    lag, most = car.steering.time_constant, car.steering.max_rate * h
-    turn = (target - angle) * (1 - np.exp(-h / lag) if lag else 1.0)
-    return angle + float(np.clip(turn, -most, most))
+    lag, rate, gap = car.steering.time_constant, car.steering.max_rate, abs(target - angle)
+    turning = 0.0 if np.isinf(rate) else max(gap / rate - lag, 0.0)
+    ramp = gap - np.minimum(time, turning) * (rate if turning else 0.0)
+    left = ramp * np.exp(-np.maximum(time - turning, 0.0) / (lag or 1.0))
+    left = np.where(time >= turning, 0.0, left) if lag == 0.0 else left
+    return np.asarray(target - np.sign(target - angle) * left)
 
 
 def simulate(
@@ -105,7 +112,7 @@ def simulate(
     Args:
         z: (13,) initial state; the wheels stand straight ahead.
         commands: (n,) steering command during each step [rad].
-        wind: (n, 2) [m/s].
+        wind: (n, 3, 2) at begin, middle and end of each step [m/s].
         targets: (n,) target speeds [m/s].
         mu: Friction coefficient.
         h: Step [s].
@@ -114,12 +121,12 @@ def simulate(
     delta, late, rows = 0.0, round(car.steering.delay / h), []
     delayed = np.concatenate((np.zeros(late), commands))
     for command, air, target in zip(delayed, wind, targets, strict=False):
-        delta = road_wheel_angle(delta, command, h, car)
-        inputs = delta, air, target, mu, h, car
-        k_1 = rates(z, *inputs)
-        k_2 = rates(z + h / 2 * k_1, *inputs)
-        k_3 = rates(z + h / 2 * k_2, *inputs)
-        k_4 = rates(z + h * k_3, *inputs)
+        angle = road_wheel_angle(delta, command, np.array([0.0, h / 2, h]), car)
+        delta, inputs = float(angle[2]), (target, mu, h, car)
+        k_1 = rates(z, angle[0], air[0], *inputs)
+        k_2 = rates(z + h / 2 * k_1, angle[1], air[1], *inputs)
+        k_3 = rates(z + h / 2 * k_2, angle[1], air[1], *inputs)
+        k_4 = rates(z + h * k_3, angle[2], air[2], *inputs)
         z = z + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
         z[3] *= not stands(z[3], z[4], target)
         rows.append(np.append(z, delta))

@@ -5,9 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from ampc_msgs_config import config
 from ampc_msgs_config.parameters import SteeringParameters
+from ampc_msgs_config.types import Array
+from sim_vehicle.actuator import angle_after, lag_share
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import load_vehicle_file
 
@@ -61,14 +64,47 @@ def test_delay_is_pure_and_rounded_to_the_step(command: float, delay: float, ste
 
 
 @both_sides
-def test_delay_lag_and_rate_act_one_after_the_other(command: float) -> None:
-    expected, angle = [0.0] * 10, 0.0
-    for _ in range(60):
-        turn = (command - angle) * -math.expm1(-STEP / 0.05)
-        angle += math.copysign(min(abs(turn), 0.5 * STEP), turn)
-        expected.append(angle)
-    history = angles(command, 70, delay=0.05, lag=0.05, max_rate=0.5)
-    assert history == pytest.approx(expected, abs=1e-12)
+@pytest.mark.parametrize(("lag", "rate"), [(0.05, 0.5), (0.05, 0.43), (0.3, 0.11), (0.004, 1.9)])
+def test_delay_lag_and_rate_act_one_after_the_other(
+    command: float, lag: float, rate: float
+) -> None:
+    """The rate limit ends within a step, except in the first case."""
+
+    def turning(_: float, angle: Array) -> Array:
+        return np.clip((command - angle) / lag, -rate, rate)
+
+    solved = solve_ivp(
+        turning,
+        (0.0, 0.301),
+        [0.0],
+        t_eval=STEP * np.arange(1, 61),
+        rtol=1e-10,
+        atol=1e-12,
+        max_step=STEP,
+    )
+    history = angles(command, 70, delay=0.05, lag=lag, max_rate=rate)
+    assert history[:10] == [0.0] * 10
+    assert history[10:] == pytest.approx(solved.y[0], abs=1e-8)
+
+
+@both_sides
+@pytest.mark.parametrize(
+    ("lag", "rate"), [(0.0, math.inf), (0.0, 0.7), (0.07, math.inf), (0.07, 0.4)]
+)
+def test_angle_does_not_depend_on_how_the_time_is_divided(
+    command: float, lag: float, rate: float
+) -> None:
+    servo = (0.5, rate, lag, 0.0)
+
+    def after(time: float, angle: float) -> float:
+        return angle_after(time, angle, command, lag_share(time, servo), servo)
+
+    rng = np.random.default_rng(6)
+    for _ in range(100):
+        angle, (first, second) = float(rng.uniform(-0.5, 0.5)), rng.exponential(0.1, 2).tolist()
+        at_once, in_parts = after(first + second, angle), after(second, after(first, angle))
+        assert in_parts == pytest.approx(at_once, abs=1e-14)
+        assert after(0.0, angle) == (command if lag == 0.0 and math.isinf(rate) else angle)
 
 
 def test_every_command_passes_the_delay_in_its_turn_however_long_the_periods_are() -> None:

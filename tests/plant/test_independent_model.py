@@ -1,7 +1,9 @@
 """The simulated car against the second implementation of its equations, in six manoeuvres."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -10,7 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ampc_msgs_config import config
-from ampc_msgs_config.types import Array
+from ampc_msgs_config.scenarios.wind import Wind, wind_of_steps
+from ampc_msgs_config.types import NANOSECONDS, Array
 from sim_vehicle.car import Car
 from sim_vehicle.parameters import Vehicle, load_vehicle_file
 from sim_vehicle.vehicle import A_X, CAR_V_X, CAR_V_Y, CAR_YAW_RATE, CORNERING, SIZE
@@ -19,6 +22,7 @@ from tests.plant.independent_model import rates, simulate
 CARS = {name: load_vehicle_file(config.find("vehicles", name)) for name in ("paper", "ordinary")}
 both_cars = pytest.mark.parametrize("name", CARS)
 STEP, STEPS, PERIODS = 0.005, 20, 30
+PERIOD_NS = 100_000_000
 TOLERANCE = 1e-8
 """Of each number of the state, in its SI unit, on a size of 1 at least."""
 
@@ -71,7 +75,7 @@ def test_simulated_car_drives_as_an_independent_implementation(
     vehicle, rng = modified(CARS[name], manoeuvre), np.random.default_rng(4)
     speed, target, amplitude, mean, friction, *_ = manoeuvre
     commands = amplitude * np.sin(0.35 * np.arange(PERIODS)) + 0.01 * rng.standard_normal(PERIODS)
-    wind = mean + 4.0 * rng.standard_normal((PERIODS * STEPS, 2))
+    wind = mean + 4.0 * rng.standard_normal((PERIODS * STEPS, 3, 2))
     car = Car(vehicle, (1.0, -2.0, 0.7), speed, friction=friction, step=STEP)
     start, states = car.state[: SIZE - 1].copy(), []
     for k, command in enumerate(commands):
@@ -89,7 +93,9 @@ def test_simulated_car_follows_the_exact_solution_of_the_equations(
 ) -> None:
     """Angle and wind are constant for a whole period here, so SciPy may choose its own steps."""
     vehicle, air, step = modified(CARS[name], MANOEUVRES["slalom in gusts"]), np.array(wind), 0.001
-    vehicle = vehicle._replace(steering=replace(vehicle.steering, lag=0.0, delay=0.0, max_rate=1e9))
+    vehicle = vehicle._replace(
+        steering=replace(vehicle.steering, lag=0.0, delay=0.0, max_rate=math.inf)
+    )
     car = Car(vehicle, (0.0, 0.0, 0.3), 14.0, step=step)
     z = car.state[: SIZE - 1].copy()
     for k in range(PERIODS // 2):
@@ -101,6 +107,74 @@ def test_simulated_car_follows_the_exact_solution_of_the_equations(
 
         z = solve_ivp(derivative, (0.0, 0.1), z, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     np.testing.assert_allclose(car.state[: SIZE - 1], z, rtol=1e-7, atol=1e-7)
+
+
+GUSTS = (
+    Wind(kind="gust", start=0.1, end=1.3, speed=22.0),
+    Wind(kind="gust", start=0.4, end=1.5, speed=-9.0),
+)
+
+
+def weave(vehicle: Vehicle, wind: tuple[Wind, ...], step_ns: int) -> Array:
+    """Return the state after 1.2 s with a new command every 0.1 s, wind, and this step [ns]."""
+    car = Car(vehicle, (0.0, 0.0, 0.4), 16.0, step=step_ns / NANOSECONDS)
+    for k in range(12):
+        air = wind_of_steps(wind, k * PERIOD_NS, step_ns, PERIOD_NS // step_ns)
+        car.advance(0.05 * math.sin(0.9 * k), 17.0, air)
+    return car.state[: SIZE - 1]
+
+
+def exact_weave(vehicle: Vehicle, wind: tuple[Wind, ...], step: float) -> Array:
+    """Return the state of `weave` by SciPy, with its own actuator and gusts in the equations."""
+    lag, delay, limit = (getattr(vehicle.steering, key) for key in ("lag", "delay", "max_angle"))
+    z: Array = np.zeros(SIZE)
+    z[[2, CAR_V_X]] = 0.4, 16.0
+
+    def derivative(t: float, z: Array, command: float) -> Array:
+        side = sum(
+            gust.speed * (1.0 - math.cos(math.tau * (t - gust.start) / (gust.end - gust.start))) / 2
+            for gust in wind
+            if gust.start < t < gust.end
+        )
+        angle, air = (z[-1] if lag else command), np.array([0.0, side])
+        turn = (min(max(command, -limit), limit) - z[-1]) / lag if lag else 0.0
+        car = rates(z[:-1], angle, air, 17.0, vehicle.tyre.friction, step, vehicle)
+        return np.append(car, turn)
+
+    edges = sorted(
+        {0.1 * k + delay for k in range(13)} | {x for g in wind for x in (g.start, g.end)}
+    )
+    times = [0.0, *(t for t in edges if 0.0 < t < 1.2), 1.2]
+    for begin, end in pairwise(times):
+        k = math.floor((0.5 * (begin + end) - delay) / 0.1)
+        command = 0.05 * math.sin(0.9 * k) if k >= 0 else 0.0
+        solved = solve_ivp(
+            derivative, (begin, end), z, args=(command,), method="DOP853", rtol=1e-11, atol=1e-12
+        )
+        z = solved.y[:, -1]
+    return np.asarray(z[:-1])
+
+
+@both_cars
+@pytest.mark.parametrize(
+    ("lag", "wind"),
+    [(0.2, ()), (0.0, GUSTS), (0.07, GUSTS), (0.5, GUSTS[:1])],
+    ids=["lag", "wind", "lag and wind", "slow steering in one gust"],
+)
+def test_integration_is_of_fourth_order_with_lag_and_wind(
+    lag: float, wind: tuple[Wind, ...], name: str
+) -> None:
+    """The state approaches that of SciPy by a factor of 2^3.5 at least for half the step."""
+    vehicle = CARS[name]
+    steering = replace(vehicle.steering, lag=lag, delay=0.04, max_rate=math.inf)
+    vehicle = vehicle._replace(steering=steering)
+    exact = exact_weave(vehicle, wind, 0.005)
+    errors = [
+        float(np.abs(weave(vehicle, wind, step_ns) - exact)[:6].max())
+        for step_ns in (10_000_000, 5_000_000, 2_500_000)
+    ]
+    assert errors[1] < 1e-6
+    assert math.log2(errors[0] / errors[2]) / 2 > 3.5
 
 
 @both_cars

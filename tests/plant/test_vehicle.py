@@ -195,21 +195,15 @@ def test_side_force_and_yaw_moment_are_odd_in_the_wind_angle(angle: float, speed
 
 
 @pytest.mark.parametrize("amplitude", [0.05, -0.05])
-@pytest.mark.parametrize(
-    ("vehicle", "share"),
-    [(PAPER, 1e-5), (ORDINARY, 1e-3)],  # a rate-limited steering moves once a step
-    ids=["paper", "ordinary"],
-)
-def test_halving_the_step_does_not_change_a_lane_change(
-    vehicle: Vehicle, share: float, amplitude: float
-) -> None:
+@both_cars
+def test_halving_the_step_does_not_change_a_lane_change(vehicle: Vehicle, amplitude: float) -> None:
     normal, fine = (
         driven(Car(vehicle, speed=15.0, step=h), lane_change(amplitude), speed=15.0, step=h)
         for h in (0.005, 0.0025)
     )
     moved = np.abs(normal[:, CAR_Y]).max()
     assert moved > 2.0
-    assert np.abs(normal - fine)[:, [CAR_X, CAR_Y]].max() < share * moved
+    assert np.abs(normal - fine)[:, [CAR_X, CAR_Y]].max() < 1e-5 * moved
 
 
 def test_integration_is_of_fourth_order() -> None:

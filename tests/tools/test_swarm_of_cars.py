@@ -56,7 +56,7 @@ def swarm(cars: tuple[Vehicle, ...]) -> tuple[Array, Array, Array, Array, Array,
     states, queues = np.zeros((len(cars), SIZE)), np.zeros((len(cars), 40))
     states[:, CAR_V_X] = 14.0
     queues[:, -1] = [round(car.steering.delay / STEP) for car in cars]
-    wind = 8.0 * np.random.default_rng(2).standard_normal((PERIODS * STEPS, 2))
+    wind = 8.0 * np.random.default_rng(2).standard_normal((PERIODS * STEPS, 3, 2))
     flat = np.array([pack_vehicle(car) for car in cars])
     frictions = np.array([car.tyre.friction for car in cars])
     return states, queues, flat, wind, frictions, np.full(WORK_SIZE, math.nan)

@@ -208,7 +208,7 @@ def wind_of_drive(scenario: Scenario, step_ns: int, period_ns: int) -> Array:
         period_ns: Period of the controller [ns].
 
     Returns:
-        (n, 2) [m/s] for whole periods, whose rows equal `wind_of_steps` bit for bit.
+        (n, 3, 2) [m/s] for whole periods, whose rows equal `wind_of_steps` bit for bit.
     """
     steps = round(period_ns / step_ns)
     periods = -(-round(scenario.duration * NANOSECONDS) // (steps * step_ns))

@@ -31,20 +31,20 @@ class Wind(Checked):
 
 
 def wind_at(wind: tuple[Wind, ...], time: Array) -> Array:
-    """Return the wind velocity in `map`, (n, 2) [m/s], at times (n,) [s]."""
-    velocity = np.zeros((len(time), 2))
+    """Return the wind velocity in `map`, (..., 2) [m/s], at times (...) [s]."""
+    velocity = np.zeros((*time.shape, 2))
     for piece in wind:
         if piece.kind == "gust":
             z = np.clip((time - piece.start) / (piece.end - piece.start), 0.0, 1.0)
             shape = (1 - np.cos(math.tau * z)) / 2
         else:
             shape = q((time - piece.start) / BLOCK_EDGE) * q((piece.end - time) / BLOCK_EDGE)
-        velocity[:, 1] += piece.speed * shape
+        velocity[..., 1] += piece.speed * shape
     return velocity
 
 
 def wind_of_steps(wind: tuple[Wind, ...], begin_ns: int, step_ns: int, steps: int) -> Array:
-    """Return the wind velocity in `map` at steps of the integration, (steps, 2) [m/s].
+    """Return the wind velocity in `map` at begin, middle and end of steps, (steps, 3, 2) [m/s].
 
     Args:
         wind: Wind of the drive.
@@ -52,4 +52,5 @@ def wind_of_steps(wind: tuple[Wind, ...], begin_ns: int, step_ns: int, steps: in
         step_ns: Step of the integration [ns].
         steps: Number of steps.
     """
-    return wind_at(wind, (begin_ns + step_ns * np.arange(steps)) / NANOSECONDS)
+    half_steps = 2 * np.arange(steps)[:, np.newaxis] + np.arange(3)
+    return wind_at(wind, (begin_ns + 0.5 * step_ns * half_steps) / NANOSECONDS)
