@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from launch_scripts.tuning.task import geometric_mean_of
+from launch_scripts.tuning.task import geometric_mean
 
 MIN_SAVING = 0.10
 """Share of the single set's fitness that a table must save between the nodes."""
@@ -18,10 +18,10 @@ def saving(table: Sequence[float], single: Sequence[float]) -> float:
         table: Fitness of the table at some speeds; infinite where a car is lost.
         single: Fitness of the single set at the same speeds.
     """
-    ours, other = geometric_mean_of(table), geometric_mean_of(single)
+    ours, other = float(geometric_mean(table)), float(geometric_mean(single))
     if math.isinf(ours):
         return -math.inf
-    return 1.0 if math.isinf(other) else 1.0 - ours / other
+    return 1.0 - ours / other
 
 
 def worst_ratio(gains: Sequence[float], reference: Sequence[float]) -> float:
