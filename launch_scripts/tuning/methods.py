@@ -213,7 +213,7 @@ def polish(
 
     def cost(unit: Array) -> float:
         value = adjusted(unit, float(record(unit[None])[0]))
-        return math.log(value) if value < math.inf else math.log(1e300)
+        return math.log(min(max(value, 1e-300), 1e300))
 
     options: Any = {"initial_simplex": simplex, "maxfev": limit}
     options |= {"xatol": TOLERANCE, "fatol": TOLERANCE}
