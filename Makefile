@@ -5,7 +5,7 @@ VENV_PYTHON := .venv/bin/python
 JOBS ?= 2
 PARALLEL = -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup dev demo test check uncompiled lint acceptance stacks certificates faults leaderboard fuzz attack proofs mutation \
+.PHONY: help setup dev demo test check uncompiled lint data acceptance stacks certificates faults leaderboard fuzz attack proofs mutation \
 	bench lock audit clean
 .DEFAULT_GOAL := help
 
@@ -36,7 +36,10 @@ lint: dev  ## check format, style and types
 	@$(VENV_PYTHON) -m ruff check .
 	@$(VENV_PYTHON) -m mypy
 
-acceptance: dev  ## drive every case of the result table, into runs/acceptance
+data: dev  ## write generated roads into build/roads, for cases whose recorded roads are not at hand
+	@$(VENV_PYTHON) -m tests.workshop.acceptance.road_data
+
+acceptance: data  ## drive every case of the result table, into runs/acceptance
 	@$(VENV_PYTHON) -m tests.workshop.acceptance.acceptance
 
 stacks: dev  ## drive a lane change over ROS with the messages of each stack, and with ours (25 min)
@@ -45,7 +48,7 @@ stacks: dev  ## drive a lane change over ROS with the messages of each stack, an
 certificates: dev  ## certify every shipped gain table anew, into the package (4 min)
 	@$(VENV_PYTHON) launch_scripts/certify.py --shipped
 
-faults: dev  ## inject every kind of fault on every road, into runs/faults
+faults: data  ## inject every kind of fault on every road, into runs/faults
 	@$(VENV_PYTHON) -m tests.workshop.fault_matrix.inject
 
 leaderboard: dev  ## drive our controllers and published ones under equal conditions, into runs/leaderboard

@@ -21,7 +21,7 @@ from ampc_msgs_config.vehicle_file import VehicleContent, read_vehicle
 from ampc_ros.configuration import Choices, Configuration, gain_file
 from ampc_ros.mpc.gain_table import gain_table
 
-CERTIFICATE_VERSION = 1
+CERTIFICATE_VERSION = 2
 """Version of the checks and of the control law. Incremented when either changes the results."""
 CERTIFIED_CONTROLLERS = ("preview", "paper")
 """Controllers whose gain tables are certified."""

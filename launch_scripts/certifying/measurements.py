@@ -262,35 +262,83 @@ def margins(
         Values at each speed by key of the bounds; nan where the nominal car does not settle.
     """
 
-    def delayed(v: float, delay: float) -> Case:
-        steering = replace(subject.vehicle.steering, delay=subject.vehicle.steering.delay + delay)
-        return margin_case(subject.vehicle._replace(steering=steering), v)
-
     def scaled_steering(v: float, factor: float) -> Case:
         return margin_case(subject.vehicle, v)._replace(effect=factor)
 
-    searches = {
-        "delay_margin": (COARSE_DELAYS, DELAY_STEP, delayed),
-        "gain_margin": (COARSE_GAINS, GAIN_STEP, scaled_steering),
-        "gain_reduction_margin": (COARSE_REDUCTIONS, GAIN_STEP, scaled_steering),
+    def measured(values: tuple[float, ...]) -> list[float]:
+        drives = Drives(subject, speeds, threads, report)
+        return last_settling_drive(drives, values, GAIN_STEP, scaled_steering)
+
+    return {
+        "delay_margin": delay_margins(Drives(subject, speeds, threads, report)),
+        "gain_margin": measured(COARSE_GAINS),
+        "gain_reduction_margin": measured(COARSE_REDUCTIONS),
     }
 
-    def measured(
-        values: tuple[float, ...], step: float, case: Callable[[float, float], Case]
-    ) -> list[float]:
-        def settles(places: Sequence[int], at: Sequence[float]) -> list[bool]:
-            cases = [case(float(speeds[i]), value) for i, value in zip(places, at, strict=True)]
-            logs = drive_cases(subject, cases, threads, report)
-            return [rest(log, subject.period, MARGIN_REST_TIME) <= MARGIN_REST for log in logs]
 
-        return last_settling(len(speeds), values, step, settles)
+class Drives(NamedTuple):
+    """Loops of one car and controller at several speeds, and how they are driven."""
 
-    return {key: measured(*search) for key, search in searches.items()}
+    subject: Subject
+    speeds: Array
+    """(n,) [m/s]."""
+    threads: int
+    report: Report
 
 
-def margin_case(car: Vehicle, v: float) -> Case:
-    """Return the drive of the margins at a speed [m/s]."""
-    return Case(straight(v, MARGIN_DURATION * max(SLOW / v, 1.0), MARGIN_OFFSET), car)
+Settled = Callable[[Array, float], bool]
+"""Returns whether a log with a period [s] is that of a car that has settled."""
+
+
+def has_settled(log: Array, period: float) -> bool:
+    """Return whether a drive of the margins ends on its road."""
+    return rest(log, period, MARGIN_REST_TIME) <= MARGIN_REST
+
+
+def delay_margins(
+    drives: Drives,
+    offset: float = MARGIN_OFFSET,
+    delays: Sequence[float] = COARSE_DELAYS,
+    settled: Settled = has_settled,
+) -> list[float]:
+    """Return the largest unknown delay with which the nonlinear car settles, at each speed [s].
+
+    Args:
+        drives: Car, controller and speeds.
+        offset: Distance from the path at the start [m].
+        delays: Delays that are tried first; see `last_settling` [s].
+        settled: Criterion.
+    """
+    vehicle = drives.subject.vehicle
+
+    def delayed(v: float, delay: float) -> Case:
+        steering = replace(vehicle.steering, delay=vehicle.steering.delay + delay)
+        return margin_case(vehicle._replace(steering=steering), v, offset)
+
+    return last_settling_drive(drives, delays, DELAY_STEP, delayed, settled)
+
+
+def last_settling_drive(
+    drives: Drives,
+    values: Sequence[float],
+    step: float,
+    case: Callable[[float, float], Case],
+    settled: Settled = has_settled,
+) -> list[float]:
+    """Return the last value with which the drive at each speed settles; see `last_settling`."""
+    subject, speeds, threads, report = drives
+
+    def settles(places: Sequence[int], at: Sequence[float]) -> list[bool]:
+        cases = [case(float(speeds[i]), value) for i, value in zip(places, at, strict=True)]
+        logs = drive_cases(subject, cases, threads, report)
+        return [settled(log, subject.period) for log in logs]
+
+    return last_settling(len(speeds), values, step, settles)
+
+
+def margin_case(car: Vehicle, v: float, offset: float = MARGIN_OFFSET) -> Case:
+    """Return the drive of the margins at a speed [m/s] from an offset [m]."""
+    return Case(straight(v, MARGIN_DURATION * max(SLOW / v, 1.0), offset), car)
 
 
 def last_settling(

@@ -22,8 +22,8 @@ from ampc_ros.mpc.small_matrices import make_scratch
 from ampc_ros.preview.model import SampledModel, sample_model, steady_steering
 from ampc_ros.supervision.feed_forward import FeedForward
 from sim_vehicle.closed_loop import drive
+from tests.workshop.acceptance.road_data import DATA
 from tests.workshop.acceptance.trials import (
-    DATA,
     Trial,
     assumed_vehicle,
     plant,
@@ -165,11 +165,11 @@ def test_it_survives_sc1_at_27_m_s_which_takes_three_quarters_of_the_grip(car: s
 
 
 @every_car
-@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is not at hand")
+@pytest.mark.skipif(not DATA.is_dir(), reason="no roads: make data")
 @pytest.mark.parametrize(
     "file", sorted(str(f.relative_to(DATA)) for f in DATA.glob("*/*.csv")), ids=lambda f: f[:20]
 )
-def test_it_drives_recorded_roads_alone(car: str, file: str) -> None:
+def test_it_drives_roads_from_files_alone(car: str, file: str) -> None:
     off = error(Trial(file, car, delay=0.1))
     assert np.abs(off).max() < 0.75
     assert math.sqrt(np.mean(off**2)) < 0.30

@@ -33,7 +33,8 @@ from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
-from tests.workshop.acceptance.cases import SPEEDS, Case, all_cases
+from tests.workshop.acceptance.cases import Case, all_cases
+from tests.workshop.acceptance.loop_margins import LOOP_RADIUS, LOOP_SPEEDS
 from tests.workshop.acceptance.trials import Trial, overlap, run
 
 CAR = load_vehicle_file(find("vehicles", "paper"))
@@ -325,7 +326,8 @@ def test_the_loop_is_stable_at_every_speed(car: Vehicle, delay: float) -> None:
     limits = load(ControllerSettings, find("controllers", "table3"))
     steering = replace(car.steering, delay=delay)
     controller = PreviewMpc(car.chassis, steering, limits, load_gain_table("preview"))
-    for v in SPEEDS:
+    for v in LOOP_SPEEDS:
+        assert spectral_radius(controller, car.chassis, steering, v, estimator=False) < LOOP_RADIUS
         assert spectral_radius(controller, car.chassis, steering, v) < 0.97, v
         if delay == 0.0:
             assert delay_margin(controller, car.chassis, steering, v) >= 0.078, v

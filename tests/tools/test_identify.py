@@ -35,7 +35,7 @@ from tests.workshop.acceptance.identification_drives import (
     drive_manoeuvre,
     random_car,
 )
-from tests.workshop.acceptance.trials import DATA
+from tests.workshop.acceptance.road_data import DATA
 
 MOTORWAY = DATA / "real_drive" / "comma2k19_example1.csv"
 AGE_NS = 30_000_000

@@ -21,8 +21,10 @@ from rich.table import Table
 
 from tests.workshop.acceptance import real_paths, real_states
 from tests.workshop.acceptance.acceptance_figure import draw_comparison
-from tests.workshop.acceptance.cases import BOTH, SPEEDS, Case, Measured, Threshold, all_cases
-from tests.workshop.acceptance.trials import DATA, QUANTITIES
+from tests.workshop.acceptance.cases import BOTH, Case, Measured, Threshold, all_cases
+from tests.workshop.acceptance.loop_margins import loop_table
+from tests.workshop.acceptance.road_data import DATA, IS_RECORDED
+from tests.workshop.acceptance.trials import QUANTITIES
 
 SECTIONS = (
     (real_paths.SECTION, partial(real_paths.tasks, 0)),
@@ -134,24 +136,6 @@ def result_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def eigenvalue_table(cases: Sequence[Case], measurements: Measurements) -> str:
-    """Return spectral radius and delay margin over speed as Markdown; empty without such cases."""
-    columns = {
-        c.name: measurements[i, "preview"] for i, c in enumerate(cases) if c.group == "eigenvalues"
-    }
-    if not columns:
-        return ""
-    lines = [
-        "\nSpectral radius, and the unknown delay [s] with which the loop is just stable:\n",
-        "| " + " | ".join(["speed [m/s]", *columns]) + " |",
-        "|---" * (len(columns) + 1) + "|",
-    ]
-    for v in SPEEDS:
-        pairs = [(m[f"radius at {v:g} m/s"], m[f"margin at {v:g} m/s"]) for m in columns.values()]
-        lines.append(" | ".join([f"| {v:g}", *(f"{r:.3f}, {s:.3f}" for r, s in pairs)]) + " |")
-    return "\n".join(lines) + "\n"
-
-
 def results_to_json(cases: Sequence[Case], measurements: Measurements) -> list[dict[str, Any]]:
     """Return all results as JSON values; NaN and infinity are null."""
     return [
@@ -178,7 +162,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.width = max(console.width, WIDTH)
     cases = [case for case in all_cases() if case.group in chosen.only]
     if not DATA.is_dir():
-        console.print(f"note: no recorded roads in {DATA}; their cases are omitted")
+        console.print(f"note: no roads in {DATA}; their cases are omitted: run make data")
+    elif not IS_RECORDED:
+        console.print(f"note: the roads from files are the generated ones in {DATA}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         measurements = measure_all(cases, chosen.workers, progress)
@@ -192,7 +178,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen.output.mkdir(parents=True, exist_ok=True)
     text = json.dumps(results_to_json(cases, measurements), indent=2, allow_nan=False) + "\n"
     (chosen.output / "acceptance.json").write_text(text, encoding="utf-8")
-    text = result_table(rows) + eigenvalue_table(cases, measurements)
+    loops = [(i, case) for i, case in enumerate(cases) if case.group == "eigenvalues"]
+    text = result_table(rows)
+    text += loop_table({case.name: measurements[i, "preview"] for i, case in loops})
     for section, targets in sections:
         table = section.table(targets)
         console.print(table, markup=False, soft_wrap=True)

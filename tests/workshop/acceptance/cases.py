@@ -2,20 +2,19 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import find
-from ampc_ros.preview.controller import PreviewMpc
-from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
-from sim_vehicle.parameters import load_vehicle_file
-from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run_all, shipped_controller
+from tests.workshop.acceptance.loop_margins import LOOP_RADIUS, loop_margins
+from tests.workshop.acceptance.road_data import DATA
+from tests.workshop.acceptance.trials import QUANTITIES, Trial, run_all
+from tests.workshop.acceptance.tyre_demand import tyre_demand
 
 BOTH, PREVIEW = ("preview", "paper"), ("preview",)
+CARS = ("paper", "ordinary")
 Measured = dict[str, float]
 
 
@@ -71,22 +70,6 @@ def fastest(trial: Trial, low: int, high: int, name: str) -> Measured:
         middle = (low + high) // 2
         low, high = (middle, high) if passes(middle) else (low, middle)
     return {"fastest": float(low)}
-
-
-SPEEDS = (1.0, 3.0, 5.0, 9.0, 15.0, 20.0, 27.0, 33.0, 40.0)
-"""Speeds of the table of eigenvalues [m/s]."""
-
-
-def eigenvalues(car: str, delay: float, name: str) -> Measured:
-    """Return spectral radius and margin of unknown delay at each speed, and the worst of each."""
-    vehicle = load_vehicle_file(find("vehicles", car))
-    steering = replace(vehicle.steering, delay=delay)
-    steers = shipped_controller(name, car, vehicle.chassis, steering)
-    assert isinstance(steers, PreviewMpc)
-    loop = (steers, vehicle.chassis, steering)
-    radius = {f"radius at {v:g} m/s": spectral_radius(*loop, v) for v in SPEEDS}
-    margin = {f"margin at {v:g} m/s": delay_margin(*loop, v) for v in SPEEDS}
-    return {"radius": max(radius.values()), "margin": min(margin.values()), **radius, **margin}
 
 
 def worst_case(
@@ -147,7 +130,8 @@ def noise() -> list[Case]:
 def model_errors() -> list[Case]:
     """Return the cases of a car that differs from the internal model.
 
-    Friction is reduced to 0.5 only on roads that need at most 85 % of it.
+    Friction is reduced to 0.5 only on roads that ask for less than half of what the car then
+    reaches; see `tyres`.
     """
     axles = ("front_cornering_stiffness", "rear_cornering_stiffness")
     wrong = {
@@ -168,8 +152,8 @@ def model_errors() -> list[Case]:
     return [worst_case("model error", name, t, {"max": 0.5}) for name, t in pairs + slippery]
 
 
-def recorded_roads() -> list[Case]:
-    """Return circuits, the trajectories of the authors and a motorway, if the data exist."""
+def roads_from_files() -> list[Case]:
+    """Return circuits, trajectories and a motorway, recorded or generated; see `road_data`."""
     files = sorted(DATA.glob("*/*.csv"))
     return [
         worst_case(
@@ -234,22 +218,47 @@ def joining() -> list[Case]:
 
 
 def stability() -> list[Case]:
-    """Return the cases of the closed-loop eigenvalues from 1 to 40 m/s, the worst of each car."""
-    thresholds = (Threshold("radius", 0.97), Threshold("margin", 0.08, at_least=True))
+    """Return the cases of the closed loop from 1 to 40 m/s, the worst of each car."""
+    thresholds = (
+        Threshold("radius", LOOP_RADIUS),
+        Threshold("estimator_radius", 0.97),
+        Threshold("margin", 0.08, at_least=True),
+        Threshold("small_margin"),
+        Threshold("large_margin"),
+    )
     return [
         Case(
             "eigenvalues",
             f"{car} car, delay {delay:g} s",
-            partial(eigenvalues, car, delay),
+            partial(loop_margins, car, delay),
             thresholds,
             PREVIEW,
         )
-        for car, delay in product(("paper", "ordinary"), (0.0, 0.1, 0.2))
+        for car, delay in product(CARS, (0.0, 0.1, 0.2))
+    ]
+
+
+def tyres() -> list[Case]:
+    """Return what roads ask of the tyres, and what the car reaches in a slow ramp."""
+    thresholds = tuple(map(Threshold, ("asked", "reached", "demand")))
+    axles = ("front_cornering_stiffness", "rear_cornering_stiffness")
+    trials = {
+        f"{road}, {car} car": Trial(road, car)
+        for road, car in product(("sc1", "sc2", "sc3_constant", "sc3_varying"), CARS)
+    }
+    trials["sc3_constant, stiffness -30 %"] = Trial(
+        "sc3_constant", factors=tuple((axle, 0.7) for axle in axles)
+    )
+    for road in ("sc1", "sc1_falcone"):
+        trials[f"{road}, friction 0.5"] = Trial(road, friction=0.5)
+    return [
+        Case("tyres", name, partial(tyre_demand, trial), thresholds, PREVIEW)
+        for name, trial in trials.items()
     ]
 
 
 def all_cases() -> list[Case]:
     """Return all cases in the order of the table."""
-    parts = (scenarios, straight, actuator, noise, model_errors, recorded_roads, iso3888,
-             independent_plant, joining, stability)  # fmt: skip
+    parts = (scenarios, straight, actuator, noise, model_errors, roads_from_files, iso3888,
+             independent_plant, joining, stability, tyres)  # fmt: skip
     return [case for part in parts for case in part()]

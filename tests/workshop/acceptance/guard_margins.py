@@ -20,7 +20,8 @@ from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.parameters import GuardLimits
 from ampc_ros.supervision.guard import Guard, bounds
 from launch_scripts.run.simulated import SimulatedDrive
-from tests.workshop.acceptance.trials import DATA, Trial, run
+from tests.workshop.acceptance.road_data import DATA
+from tests.workshop.acceptance.trials import Trial, run
 
 CARS = ("paper", "ordinary")
 ORDINARY_DRIVES = ("sc1", "sc1_falcone", "iso3888_1", "iso3888_2", "circle", "sine", "straight")
@@ -60,7 +61,7 @@ def margin(driven: SimulatedDrive, limits: GuardLimits) -> Margin:
 
 
 def names() -> tuple[str, ...]:
-    """Return the shipped scenarios, and the recorded roads if they exist."""
+    """Return the shipped scenarios, and the roads of `road_data`."""
     roads = (str(file.relative_to(DATA)) for file in sorted(DATA.glob("*/*.csv")))
     return (*ORDINARY_DRIVES, *roads, *DRIVES_AT_THE_LIMIT)
 

@@ -38,6 +38,7 @@ from tests.workshop.acceptance.real_roads import (
     road,
     roads,
 )
+from tests.workshop.acceptance.road_data import CIRCUITS, DATA, IS_RECORDED
 from tests.workshop.acceptance.targets import (
     Observation,
     Section,
@@ -47,7 +48,7 @@ from tests.workshop.acceptance.targets import (
     targets_of,
     write_json,
 )
-from tests.workshop.acceptance.trials import DATA, QUANTITIES, Trial, run
+from tests.workshop.acceptance.trials import QUANTITIES, Trial, run
 
 CARS, GUARDS = ("paper", "ordinary"), ("road", "track")
 SPEEDS = (4.0, 9.0, 15.0, 21.0, 27.0)
@@ -274,8 +275,9 @@ def measure_end(car: str, speed: float) -> list[Observation]:
 
 
 def clean_trials() -> dict[str, Trial]:
-    """Return the trials on clean points whose results may not change; circuits if present."""
-    files = [f"tracks/{file.name}" for file in sorted(DATA.glob("tracks/*.csv"))]
+    """Return the trials on clean points whose results may not change; circuits if recorded."""
+    found = sorted(DATA.glob("tracks/*.csv")) if IS_RECORDED else []
+    files = [f"tracks/{file.name}" for file in found]
     trials = {
         f"{Path(name).stem}, {car} car": Trial(name, car)
         for name, car in product(("sc1", *files), CARS)
@@ -319,7 +321,7 @@ def blocks(seed: int) -> list[Block]:
 
     Another seed combines them differently.
     """
-    names = ("straight", "sc1", "circle", "Oschersleben", "Norisring")
+    names = ("straight", "sc1", "circle", *CIRCUITS)
     grid = product(roads(), enumerate(CARS), enumerate(SPACINGS))
     rows = []
     for name, (c, car), (i, spacing) in grid:

@@ -18,7 +18,7 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import Array
 from sim_vehicle.parameters import load_vehicle_file
-from tests.workshop.acceptance.trials import DATA
+from tests.workshop.acceptance.road_data import CIRCUITS, DATA, integrated
 
 SPACING = 0.25
 """Distance of the samples of a true road [m]."""
@@ -26,8 +26,6 @@ FINE = 0.5
 """Distance of the points that define an analytic road [m]."""
 STRAIGHT, RADIUS = 600.0, 50.0
 """Length of the straight road and radius of the circle [m]."""
-CIRCUITS = ("Oschersleben", "Norisring")
-"""Recorded circuits in `DATA`, which is not part of this repository."""
 TURNED = (0.01, 0.3, 0.8, 2.2)
 """Headings by which a road is turned, because the effect of rounding depends on it [rad]."""
 MIXED = 0.0
@@ -146,11 +144,11 @@ def hairpins() -> Array:
 
     def excess(angle: float) -> float:
         """Return the distance between the lanes of a hairpin minus `LANE_GAP` [m]."""
-        return float(_integrated(_bulb(angle))[-1, 1] - LANE_GAP)
+        return float(integrated(_bulb(angle))[-1, 1] - LANE_GAP)
 
     angle = brentq(excess, 0.2, 1.5)
     left = _bulb(float(angle))
-    return _integrated(np.concatenate((left, -left)))[:: round(FINE / 0.01)]
+    return integrated(np.concatenate((left, -left)))[:: round(FINE / 0.01)]
 
 
 def _bulb(angle: float) -> Array:
@@ -169,12 +167,6 @@ def _bulb(angle: float) -> Array:
     for _ in range(2):  # the mean of a mean is smooth, and the turned angle stays
         curvature = np.convolve(curvature, window / len(window), mode="same")
     return np.asarray(curvature)
-
-
-def _integrated(curvature: Array) -> Array:
-    """Return the positions of a curve given by its curvature every centimetre (n, 2) [m]."""
-    heading = np.cumsum(curvature) * 0.01
-    return np.asarray(np.cumsum(np.column_stack((np.cos(heading), np.sin(heading))), axis=0) * 0.01)
 
 
 def places(start: float, stop: float, spacing: float, rng: np.random.Generator) -> Array:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path as File
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -28,9 +27,8 @@ from tests.workshop.acceptance.independent_plant import (
     IndependentSimulation,
     assumed_parameters,
 )
+from tests.workshop.acceptance.road_data import DATA
 
-DATA = File(__file__).resolve().parents[4] / "shared" / "data"
-"""Recorded roads; not part of this repository."""
 LIMITS = SpeedLimits(lateral_acceleration=4.0, longitudinal_acceleration=2.0, speed=30.0)
 """Speed limits on recorded roads."""
 LAPS = 2
@@ -44,7 +42,7 @@ class Trial(NamedTuple):
     """One drive. The fields from `factors` on are unknown to the controller."""
 
     scenario: str = "sc1"
-    """Name of a shipped scenario, or CSV file in `DATA`."""
+    """Name of a shipped scenario, or CSV file in `road_data.DATA`."""
     car: str = "paper"
     """Name of a shipped vehicle, or `independent`."""
     speed: float | None = None
@@ -213,6 +211,12 @@ QUANTITIES = {
     "overlap": Quantity("overlap with the cones [m]", overlap),
     "added": Quantity("added to the largest error [m]"),
     "fastest": Quantity("highest speed passed [km/h]"),
-    "radius": Quantity("spectral radius"),
-    "margin": Quantity("margin of unknown delay [s]"),
+    "radius": Quantity("spectral radius, estimate held"),
+    "estimator_radius": Quantity("spectral radius, with the estimator"),
+    "margin": Quantity("margin of unknown delay, linear [s]"),
+    "small_margin": Quantity("the same, simulated car, decays from 0.02 m [s]"),
+    "large_margin": Quantity("the same, simulated car, settles from 0.5 m [s]"),
+    "asked": Quantity("lateral acceleration of the road [m/s2]"),
+    "reached": Quantity("lateral acceleration that the car reaches [m/s2]"),
+    "demand": Quantity("the first in percent of the second"),
 }

@@ -26,7 +26,8 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.validation import check_range, number
 from ampc_ros.supervision.guard import LONGEST_PAUSE, Guard, bounds
 from launch_scripts.faults.schedule import SEED, Fault
-from tests.workshop.acceptance.trials import DATA, LIMITS
+from tests.workshop.acceptance.road_data import DATA
+from tests.workshop.acceptance.trials import LIMITS
 from tests.workshop.fault_matrix.fault_loop import CommandedTick, FaultyDrive
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT
 from tests.workshop.fault_matrix.inject_cells import Bench, Conditions

@@ -20,7 +20,7 @@ from ampc_msgs_config.validation import check_range
 from ampc_ros.configuration import CONTROLLERS
 from launch_scripts.faults.schedule import SEED
 from launch_scripts.run.options import create_folder, naming
-from tests.workshop.acceptance.trials import DATA
+from tests.workshop.acceptance.road_data import DATA
 from tests.workshop.fault_matrix.inject_cases import CASES, CIRCUIT, SCENARIOS, Case, load_course
 from tests.workshop.fault_matrix.inject_cells import Bench, Cell, Conditions, Course
 from tests.workshop.fault_matrix.inject_report import FaultReport, screen_table, write_report
@@ -62,7 +62,7 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def roads() -> list[str]:
-    """Return the available roads; the circuit is not part of this repository."""
+    """Return the available roads; `make data` writes a circuit where none is recorded."""
     there = (DATA / "tracks" / f"{CIRCUIT}.csv").is_file()
     return [name for name in SCENARIOS if name != CIRCUIT or there]
 

@@ -11,7 +11,8 @@ from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from launch_scripts.faults.schedule import Fault
-from tests.workshop.acceptance.trials import DATA, LIMITS
+from tests.workshop.acceptance.road_data import CIRCUITS, DATA
+from tests.workshop.acceptance.trials import LIMITS
 
 RUN_ON = 5.0
 """Extension of the shipped drives, on the straight after their path [s]."""
@@ -19,7 +20,7 @@ LONGEST = 45.0
 """Longest duration of a drive [s]."""
 OFFSET = "straight_3m"
 """Name of the straight road that is joined from 3 m."""
-CIRCUIT = "Oschersleben"
+CIRCUIT = CIRCUITS[0]
 SCENARIOS = ("sc1", "sc2", "sc3_varying", "sc3_wind", "circle", "sine", OFFSET, CIRCUIT)
 
 
