@@ -20,6 +20,7 @@ from launch_scripts.reporting.style import (
     stack,
 )
 from launch_scripts.run.simulated import SimulatedDrive, centre_of_gravity, ticks_until_lost
+from launch_scripts.study.claim_by_speed import draw_claim
 from launch_scripts.study.claims import PAPER_MSE
 from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 from launch_scripts.study.measurements import LOOK_AHEAD_DISTANCES
@@ -63,6 +64,7 @@ def draw_figures(
     sc1 = PAPER_MSE["sc1"]
     levels = {"paper's AMPC": sc1["paper"], "paper's classic": sc1["classic"]}
     return {
+        "claim_by_speed": draw_claim(results["claim_by_speed"]),
         **{road: draw_road(row) for road, row in driven.items()},
         "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"]),
         "sphere": draw_sphere({name: results["sphere"]["curves"][name] for name in SHOWN_SWARMS}),

@@ -17,8 +17,9 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
-from ampc_ros.pso.swarm import Dimension
+from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.claim_by_speed import ClaimPlan, measure_claim
 from launch_scripts.study.drives import (
     CONTENDERS,
     DRIVE_SWITCHES,
@@ -99,18 +100,21 @@ class StudyPlan(NamedTuple):
     problems: int = len(PROBLEMS)
     single_switches: tuple[str, ...] = DRIVE_SWITCHES
     """Switches whose effect is measured one at a time."""
+    claim: ClaimPlan = ClaimPlan()
+    """Speeds and searches of the claim over speed, always in the paper's reading."""
 
 
 def quick_plan(switches: Switches) -> StudyPlan:
     """Return the plan of a quick run: two roads and a tiny search."""
     swarm = (("particles", 3), ("generations", 1))
-    return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",))
+    claim = ClaimPlan((5.4, 15.0), PsoSettings(particles=3, generations=1), noise_seeds=1)
+    return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",), claim)
 
 
 def count_steps(plan: StudyPlan) -> int:
     """Return the number of steps that `measure_study` reports."""
     moves = sum(swarm_settings(s, plan).generations + 1 for _, s, _ in gain_searches(plan))
-    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 3
+    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 3 + plan.claim.steps
 
 
 def measure_study(
@@ -154,6 +158,7 @@ def measure_study(
     step()
     swarms = measure_swarms(plan.sphere_seeds, plan.problems)
     step()
+    claim_by_speed = measure_claim(plan.claim, step)
     return {
         "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
         **searches,
@@ -162,6 +167,7 @@ def measure_study(
         "sweep": sweep,
         **attempts,
         "sphere": swarms,
+        "claim_by_speed": claim_by_speed,
     }, driven
 
 
