@@ -46,8 +46,19 @@ DRIVE_SWITCHES = ("tyre", "plant", "speed", "horizon", "solver")
 SEARCH_SWITCHES = ("schedule", "sizes", "bounds", "fitness")
 """Differences between paper and authors' code that change a search."""
 STUDY_SWITCHES = (*DRIVE_SWITCHES, *SEARCH_SWITCHES)
+WEAK = "weak_baselines"
+"""Reading of the hand-set gains that results in the order and the ratios of the paper."""
+WEAK_WEIGHTS = {"paper": 10.0, "classic": 1000.0}
+"""R of AMPC and classic MPC in this reading; their other gains are those of Table 3."""
+WEAK_LOOK_AHEAD = (3.0, 2.0)
+"""Look-ahead of pure pursuit in this reading: time [s], minimum distance [m]."""
+WEAK_LABELS = {
+    "paper": "AMPC, R = 10",
+    "classic": "classic MPC, R = 1000",
+    "pure_pursuit": "pure pursuit, 3.0 s",
+}
 Switches = frozenset[str]
-"""Names of the switches that are set to the authors' code."""
+"""Names of the switches that are set to the authors' code, and WEAK in that reading."""
 
 
 class TunedGains(NamedTuple):
@@ -78,6 +89,11 @@ class DiagnosisRecorder:
         command = self.inner.step(state, path)
         self.diagnosis.append(command.diagnosis)
         return command
+
+
+def contender_labels(switches: Switches) -> dict[str, str]:
+    """Return the names of the contenders for readers."""
+    return CONTENDERS | (WEAK_LABELS if WEAK in switches else {})
 
 
 def plant_vehicle(switches: Switches) -> Vehicle:
@@ -116,13 +132,15 @@ def build_contender(
         table = load_gain_table(default_table("preview", "paper"))
         return PreviewMpc(car.chassis, car.steering, exact, table)
     if name == "pure_pursuit":
-        time, distance = tuned.look_ahead
+        time, distance = WEAK_LOOK_AHEAD if WEAK in switches else tuned.look_ahead
         chosen = replace(settings, look_ahead_time=time, min_look_ahead=distance)
         return PurePursuit(car.chassis, chosen)
     if name == "paper_pso":
         return LateralMpc(car.chassis, settings, load_gain_table("paper_pso"))
     sets = {"paper_one": tuned.adaptive, "classic_pso": tuned.fixed}
     gains = sets.get(name, load_gain_table("table3").nodes[0])
+    if WEAK in switches and name in WEAK_WEIGHTS:
+        gains = gains._replace(increment_weight=WEAK_WEIGHTS[name])
     return LateralMpc(car.chassis, settings, constant_table(gains, switches))
 
 

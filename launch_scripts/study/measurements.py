@@ -26,6 +26,7 @@ from launch_scripts.study.drives import (
     FIXED_SPEED,
     SEARCH_SWITCHES,
     STUDY_ROADS,
+    WEAK,
     Switches,
     TunedGains,
     constant_table,
@@ -45,6 +46,7 @@ from launch_scripts.study.pso_methods import (
     search_curves,
 )
 from launch_scripts.study.pso_variants import VariantSettings
+from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean
 from sim_vehicle.closed_loop import Simulation
@@ -81,7 +83,6 @@ FRAGILITY: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
 """Unmodelled conditions: scenario, changes of the scenario, changes of the steering."""
 WIND_SPEEDS = (11.0, 13.0, 15.0, 16.0, 17.0, 18.0)
 """Speeds on the stretched road, with and without wind [m/s]."""
-NO_SWITCH: Switches = frozenset()
 StepCallback = Callable[[], None]
 """Called after each of the steps that `count_steps` counts."""
 
@@ -90,7 +91,7 @@ class StudyPlan(NamedTuple):
     """Extent of a reproduction."""
 
     switches: Switches
-    """Switches that are set to the authors' code in all measurements."""
+    """Switches of all measurements: choices of the authors' code, and WEAK."""
     roads: tuple[str, ...] = tuple(STUDY_ROADS)
     tuning_roads: tuple[str, ...] = TUNING_ROADS
     tuning_seeds: tuple[int, ...] = (1, 2, 3)
@@ -114,7 +115,7 @@ def quick_plan(switches: Switches) -> StudyPlan:
 def count_steps(plan: StudyPlan) -> int:
     """Return the number of steps that `measure_study` reports."""
     moves = sum(swarm_settings(s, plan).generations + 1 for _, s, _ in gain_searches(plan))
-    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 3 + plan.claim.steps
+    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 4 + plan.claim.steps
 
 
 def measure_study(
@@ -139,11 +140,12 @@ def measure_study(
             }
         step()
     # one difference at a time taken from the authors' code, then all of them
-    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
-    effects = {}
-    for name, switches in {"none": NO_SWITCH, **cases, "all": frozenset(DRIVE_SWITCHES)}.items():
+    cases = {"none": (), **{s: (s,) for s in plan.single_switches}, "all": DRIVE_SWITCHES}
+    effects, reading = {}, plan.switches & {WEAK}
+    for name, changed in cases.items():
+        own = reading | {*changed}
         effects[name] = {
-            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
+            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, own)
             for road in plan.roads
         }
         step()
@@ -159,6 +161,8 @@ def measure_study(
     swarms = measure_swarms(plan.sphere_seeds, plan.problems)
     step()
     claim_by_speed = measure_claim(plan.claim, step)
+    weak_baselines = measure_weak_baselines(plan.roads, plan.switches)
+    step()
     return {
         "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
         **searches,
@@ -168,6 +172,7 @@ def measure_study(
         **attempts,
         "sphere": swarms,
         "claim_by_speed": claim_by_speed,
+        "weak_baselines": weak_baselines,
     }, driven
 
 
