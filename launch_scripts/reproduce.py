@@ -35,7 +35,7 @@ from launch_scripts.study.figures import draw_figures
 from launch_scripts.study.measurements import StudyPlan, count_steps, measure_study, quick_plan
 from launch_scripts.study.page import study_page
 
-PICTURES = ("sc2", "sweep", "sphere", "claim_by_speed")
+PICTURES = ("sc2", "sweep", "sphere")
 """Figures of the documentation."""
 ORIGINS = ("paper", "authors_code")
 
