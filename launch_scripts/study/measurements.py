@@ -19,7 +19,6 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.run.simulated import SimulatedDrive
-from launch_scripts.study.claim_by_speed import ClaimPlan, measure_claim
 from launch_scripts.study.drives import (
     CONTENDERS,
     DRIVE_SWITCHES,
@@ -46,6 +45,7 @@ from launch_scripts.study.pso_methods import (
     search_curves,
 )
 from launch_scripts.study.pso_variants import VariantSettings
+from launch_scripts.study.speed_sweep import ClaimPlan, measure_claim
 from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean

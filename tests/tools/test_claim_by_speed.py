@@ -10,7 +10,8 @@ from ampc_msgs_config.metrics import errors
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
 from ampc_ros.pso.swarm import PsoSettings
-from launch_scripts.study.claim_by_speed import (
+from launch_scripts.study.claim_by_speed import claim_tables, main
+from launch_scripts.study.speed_sweep import (
     CLAIM_GAINS,
     CLAIM_PLANTS,
     CLAIM_RATIOS,
@@ -21,7 +22,6 @@ from launch_scripts.study.claim_by_speed import (
     claim_errors,
     claim_road,
     claim_summary,
-    claim_tables,
     drive_claim,
     measure_claim,
     prepare_claim_node,
@@ -142,3 +142,9 @@ def test_tables_show_every_speed_and_mark_nodes_and_losses() -> None:
     assert [line.split("|")[1].strip() for line in lines[2:5]] == ["4 *", "6.5", "9 *"]
     assert "(3)" in lines[3].split("|")[2]
     assert Gains(**results["gains"]["single"]).output_weight == CLAIM_GAINS.output_weight
+
+
+def test_a_negative_seed_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--seed", "-1"])
+    assert "--seed -1 must not be negative" in capsys.readouterr().err
