@@ -1,6 +1,7 @@
 """Drives of the reproduction: scenarios, contenders, and the switches between paper and code."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 from ampc_msgs_config.config import find, load
@@ -91,6 +92,24 @@ class DiagnosisRecorder:
         return command
 
 
+@cache
+def paper_car() -> Vehicle:
+    """Return the paper's car."""
+    return load_vehicle_file(find("vehicles", "paper"))
+
+
+@cache
+def table3_gains() -> Gains:
+    """Return the gains of the paper's Table 3."""
+    return load_gain_table("table3").nodes[0]
+
+
+@cache
+def table3_settings() -> ControllerSettings:
+    """Return the limits of the paper's Table 3."""
+    return load(ControllerSettings, find("controllers", "table3"))
+
+
 def contender_labels(switches: Switches) -> dict[str, str]:
     """Return the names of the contenders for readers."""
     return CONTENDERS | (WEAK_LABELS if WEAK in switches else {})
@@ -98,7 +117,7 @@ def contender_labels(switches: Switches) -> dict[str, str]:
 
 def plant_vehicle(switches: Switches) -> Vehicle:
     """Return the simulated car: the paper's, or parts of it from the authors' code."""
-    vehicle = load_vehicle_file(find("vehicles", "paper"))
+    vehicle = paper_car()
     if "tyre" in switches:
         tyre = replace(vehicle.tyre, model="linear", friction=3.0, relaxation_length=0.1)
         vehicle = vehicle._replace(tyre=tyre)
@@ -110,7 +129,7 @@ def plant_vehicle(switches: Switches) -> Vehicle:
 def controller_settings(fixed_speed: float, switches: Switches) -> ControllerSettings:
     """Return limits and solver; with `fixed_speed` 0 the model follows the measured speed."""
     solver = "hildreth" if "solver" in switches else "active_set"
-    settings = load(ControllerSettings, find("controllers", "table3"))
+    settings = table3_settings()
     return replace(settings, nominal_speed=fixed_speed, solver=solver)
 
 
@@ -125,7 +144,7 @@ def build_contender(
     name: str, fixed_speed: float, tuned: TunedGains, switches: Switches
 ) -> Steering:
     """Return a contender; its internal model is the paper's car, whatever the plant is."""
-    car = load_vehicle_file(find("vehicles", "paper"))
+    car = paper_car()
     settings = controller_settings(fixed_speed if name in FIXED_CONTENDERS else 0.0, switches)
     if name == "preview":
         exact = replace(settings, solver="active_set")
@@ -138,7 +157,7 @@ def build_contender(
     if name == "paper_pso":
         return LateralMpc(car.chassis, settings, load_gain_table("paper_pso"))
     sets = {"paper_one": tuned.adaptive, "classic_pso": tuned.fixed}
-    gains = sets.get(name, load_gain_table("table3").nodes[0])
+    gains = sets.get(name, table3_gains())
     if WEAK in switches and name in WEAK_WEIGHTS:
         gains = gains._replace(increment_weight=WEAK_WEIGHTS[name])
     return LateralMpc(car.chassis, settings, constant_table(gains, switches))
@@ -173,7 +192,7 @@ def drive_contender(
 def study_scenario(name: str, **changes: Any) -> Scenario:
     """Return a shipped scenario for the paper's car with some of its fields changed."""
     speed = changes.pop("speed", None)
-    size = load_vehicle_file(find("vehicles", "paper")).size
+    size = paper_car().size
     return load_scenario(name, size, speed)._replace(**changes)
 
 

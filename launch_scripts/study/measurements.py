@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import Drive, errors
 from ampc_msgs_config.paths.curves import q
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.gain_table import Gains, load_gain_table
+from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension, PsoSettings
@@ -32,8 +31,10 @@ from launch_scripts.study.drives import (
     controller_settings,
     drive_contender,
     drive_metrics,
+    paper_car,
     plant_vehicle,
     study_scenario,
+    table3_gains,
 )
 from launch_scripts.study.pso_methods import (
     METHODS,
@@ -50,7 +51,6 @@ from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle_file
 
 TUNING_ROADS = ("sc1", "sc2", "sc3_varying")
 """Gains and look-ahead are tuned on these roads; the others are held out."""
@@ -150,7 +150,7 @@ def measure_study(
         }
         step()
     # the increment weight, with the other gains of Table 3
-    table3, sweep = load_gain_table("table3").nodes[0], []
+    table3, sweep = table3_gains(), []
     for R in INCREMENT_WEIGHTS:
         gains = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
         mse = mean_square_errors("paper_one", plan.tuning_roads[:2], gains, plan.switches)
@@ -248,7 +248,7 @@ def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
 
 def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[str, Any]]:
     """Search for the look-ahead and the single gain sets; return the best, and all results."""
-    table3, trials = load_gain_table("table3").nodes[0], list[dict[str, Any]]()
+    table3, trials = table3_gains(), list[dict[str, Any]]()
     for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
         tuned = TunedGains((time, distance), table3, table3)
         mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, plan.switches)
@@ -353,7 +353,7 @@ def gain_fitness(fixed: bool, roads: Sequence[str], switches: Switches) -> Calla
         scenarios = [study_scenario(name) for name in roads]
     speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
     settings = [controller_settings(speed, switches) for speed in speeds]
-    plant, chassis = plant_vehicle(switches), load_vehicle_file(find("vehicles", "paper")).chassis
+    plant, chassis = plant_vehicle(switches), paper_car().chassis
 
     def fitness(positions: Array) -> Array:
         result, cars = np.full(len(positions), np.inf), dict[int, list[Entry]]()

@@ -7,21 +7,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import LOST
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
+from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import PsoSettings
-from launch_scripts.study.drives import Switches, controller_settings, plant_vehicle
+from launch_scripts.study.drives import (
+    Switches,
+    controller_settings,
+    paper_car,
+    plant_vehicle,
+    table3_gains,
+)
 from launch_scripts.tuning.drives import Plant, lane_change, simulated_car
 from launch_scripts.tuning.fitness import gains_of_row, repeat_for_gain_sets
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
 from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare_fleet, run_fleet
 from launch_scripts.tuning.task import Bounds, geometric_mean, search_space
-from sim_vehicle.parameters import load_vehicle_file
 
 CLAIM_PLANTS = (
     Plant("nominal"),
@@ -100,7 +104,7 @@ class ClaimErrors(NamedTuple):
 def measure_claim(plan: ClaimPlan, step: Callable[[], None]) -> dict[str, Any]:
     """Search for gains and drive all contenders; return the results for JSON."""
     single, table = search_claim_gains(plan, step)
-    table3 = [load_gain_table("table3").nodes[0]]
+    table3 = [table3_gains()]
     rows = {"classic": table3, "table3": table3, "single": [single.gains]}
     rows["table"] = [found.gains for found in table]
     controllers = [
@@ -219,7 +223,7 @@ def claim_controller(
         gains: A set per node, or one for all.
         fixed_speed: Speed of the model [m/s]; 0: the measured one.
     """
-    chassis = load_vehicle_file(find("vehicles", "paper")).chassis
+    chassis = paper_car().chassis
     rows = list(gains) * (len(nodes) if len(gains) == 1 else 1)
     settings = controller_settings(fixed_speed, frozenset())
     return LateralMpc(chassis, settings, GainTable(list(nodes), [0.0], rows))

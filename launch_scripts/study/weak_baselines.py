@@ -6,7 +6,6 @@ AMPC: Table 3 with R = 10. Classic MPC: fixed model, R = 1000. Pure pursuit: loo
 from collections.abc import Sequence
 from typing import Any
 
-from ampc_ros.mpc.gain_table import load_gain_table
 from launch_scripts.study.claims import PAPER_MSE
 from launch_scripts.study.drives import (
     WEAK,
@@ -18,6 +17,7 @@ from launch_scripts.study.drives import (
     drive_contender,
     drive_metrics,
     study_scenario,
+    table3_gains,
 )
 
 
@@ -26,7 +26,7 @@ def measure_weak_baselines(roads: Sequence[str], switches: Switches) -> dict[str
 
     `same_gains` is the fixed model with the gains of the AMPC: what adaptation of the model gives.
     """
-    ampc = load_gain_table("table3").nodes[0]._replace(increment_weight=WEAK_WEIGHTS["paper"])
+    ampc = table3_gains()._replace(increment_weight=WEAK_WEIGHTS["paper"])
     tuned, rows = TunedGains(WEAK_LOOK_AHEAD, fixed=ampc, adaptive=ampc), {}
     for road in (name for name in PAPER_MSE if name in roads):
         scenario, reading = study_scenario(road), switches | {WEAK}
