@@ -1,8 +1,11 @@
 """Drives of the reproduction: scenarios, contenders, and the switches between paper and code."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import LOST, errors, measure, record_of
@@ -209,3 +212,29 @@ def drive_metrics(driven: SimulatedDrive) -> dict[str, Any]:
         "ticks": len(driven.error),
         "lost": bool((metrics["max_error_m"] or 0.0) > LOST),
     }
+
+
+def metrics_of(
+    names: Sequence[str],
+    scenario: Scenario,
+    tuned: TunedGains,
+    switches: Switches,
+    **steering: float,
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of some contenders in a scenario."""
+    return {
+        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
+    }
+
+
+def largest_error(driven: SimulatedDrive) -> float:
+    """Return the largest absolute cross-track error [m]."""
+    return float(np.abs(driven.error).max())
+
+
+def mean_square_errors(
+    name: str, roads: Sequence[str], tuned: TunedGains, switches: Switches
+) -> dict[str, float]:
+    """Return the mean squared error of a contender by road [m^2]."""
+    drives = {r: drive_contender(name, study_scenario(r), tuned, switches) for r in roads}
+    return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}

@@ -9,15 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config.metrics import Drive, errors
-from ampc_msgs_config.paths.curves import q
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.attempts import measure_attempts
 from launch_scripts.study.drives import (
     CONTENDERS,
     DRIVE_SWITCHES,
@@ -31,6 +30,9 @@ from launch_scripts.study.drives import (
     controller_settings,
     drive_contender,
     drive_metrics,
+    largest_error,
+    mean_square_errors,
+    metrics_of,
     paper_car,
     plant_vehicle,
     study_scenario,
@@ -69,20 +71,6 @@ GAIN_BOUNDS = {
 """Bounds of alpha, N, N_c, N_p and the decadic logarithms of Q and R."""
 GAIN_NAMES = ("alpha", "N", "N_c", "N_p", "log10 Q", "log10 R")
 SWARMS = ("proposed", "linear", "damped", "classic", "fitted linear", "Zhan's adaptive")
-MOVE_LENGTHS = (15.0, 20.0, 30.0, 45.0, 60.0)
-"""Lengths of each half of the double lane change in the geometry sweep [m]."""
-LANE_WIDTH, STRAIGHT_LENGTH = 3.5, 25.0
-"""Lateral offset of the lane change, and distance between its halves [m]."""
-FRAGILITY: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
-    "Sc1, 50 ms of steering delay": ("sc1", {}, {"delay": 0.05}),
-    "Sc1, 100 ms of steering lag": ("sc1", {}, {"lag": 0.1}),
-    "straight, joined from 0.5 m, 9 m/s": ("straight", {"start_offset": 0.5, "speed": 9.0}, {}),
-    "straight, joined from 0.5 m, 15 m/s": ("straight", {"start_offset": 0.5, "speed": 15.0}, {}),
-    "straight, joined from 0.5 m, 21 m/s": ("straight", {"start_offset": 0.5, "speed": 21.0}, {}),
-}
-"""Unmodelled conditions: scenario, changes of the scenario, changes of the steering."""
-WIND_SPEEDS = (11.0, 13.0, 15.0, 16.0, 17.0, 18.0)
-"""Speeds on the stretched road, with and without wind [m/s]."""
 StepCallback = Callable[[], None]
 """Called after each of the steps that `count_steps` counts."""
 
@@ -174,65 +162,6 @@ def measure_study(
         "claim_by_speed": claim_by_speed,
         "weak_baselines": weak_baselines,
     }, driven
-
-
-def measure_attempts(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
-    """Return what was tried where the paper does not reproduce: lane changes, margins, wind."""
-    geometry, wind_speeds = [], []
-    for length in MOVE_LENGTHS:
-        names = ("paper", "classic", "pure_pursuit")
-        metrics = metrics_of(names, double_lane_change(length), tuned, switches)
-        mse = {name: row["mse_m2"] for name, row in metrics.items()}
-        geometry.append({"length_m": length, "mse_m2": mse})
-    names = ("paper", "pure_pursuit", "preview")
-    fragile = {
-        condition: metrics_of(names, study_scenario(road, **changes), tuned, switches, **steering)
-        for condition, (road, changes, steering) in FRAGILITY.items()
-    }
-    for speed in WIND_SPEEDS:
-        windy = study_scenario("sc3_fast_wind", speed=speed)
-        air = {"calm": windy._replace(wind=()), "wind": windy}
-        errors_m = {
-            f"{name}_{key}_m": largest_error(drive_contender(name, scenario, tuned, switches))
-            for name, (key, scenario) in product(("paper", "classic"), air.items())
-        }
-        wind_speeds.append({"speed_mps": speed, **errors_m})
-    return {"geometry": geometry, "fragile": fragile, "wind_speeds": wind_speeds}
-
-
-def metrics_of(
-    names: Sequence[str],
-    scenario: Scenario,
-    tuned: TunedGains,
-    switches: Switches,
-    **steering: float,
-) -> dict[str, dict[str, Any]]:
-    """Return the metrics of some contenders in a scenario."""
-    return {
-        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
-    }
-
-
-def largest_error(driven: SimulatedDrive) -> float:
-    """Return the largest absolute cross-track error [m]."""
-    return float(np.abs(driven.error).max())
-
-
-def mean_square_errors(
-    name: str, roads: Sequence[str], tuned: TunedGains, switches: Switches
-) -> dict[str, float]:
-    """Return the mean squared error of a contender by road [m^2]."""
-    drives = {r: drive_contender(name, study_scenario(r), tuned, switches) for r in roads}
-    return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}
-
-
-def double_lane_change(length: float) -> Scenario:
-    """Return Sc1 with another length of each half of the double lane change [m]."""
-    X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
-    back = (X - 30.0 - length - STRAIGHT_LENGTH) / length
-    Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
-    duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
-    return study_scenario("sc1", points=np.column_stack((X, Y)), duration=duration)
 
 
 def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
