@@ -178,9 +178,10 @@ def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
 def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[str, Any]]:
     """Search for the look-ahead and the single gain sets; return the best, and all results."""
     table3, trials = table3_gains(), list[dict[str, Any]]()
+    searched = plan.switches - {WEAK}  # which has a look-ahead of its own
     for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
         tuned = TunedGains((time, distance), table3, table3)
-        mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, plan.switches)
+        mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, searched)
         fitness = float(geometric_mean(np.array(list(mse.values()))))
         trials.append({"time_s": time, "distance_m": distance, "fitness_m2": fitness, "mse": mse})
     first = min(trials, key=lambda trial: float(trial["fitness_m2"]))

@@ -6,7 +6,7 @@ from typing import Any
 
 from launch_scripts.reporting.pages import render
 from launch_scripts.study.claims import PAPER_MSE
-from launch_scripts.study.drives import STUDY_ROADS, WEAK, WEAK_LABELS, contender_labels
+from launch_scripts.study.drives import STUDY_ROADS, WEAK, contender_labels
 
 
 def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -25,7 +25,6 @@ def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
         labels=labels,
         labels_of=lambda names: [labels[name] for name in names],
         weak=weak,
-        weak_labels=WEAK_LABELS,
         explained=not (results["meta"]["quick"] or results["meta"]["authors_code"] or weak),
         nearest={road: nearest_switch(results, road) for road in ("sc1", "sc2")},
     )
