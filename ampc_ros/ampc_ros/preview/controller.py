@@ -10,11 +10,12 @@ from ampc_msgs_config.parameters import (
     ControllerSettings,
     SteeringParameters,
 )
-from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.controller_interface import Controller, Estimates
-from ampc_ros.mpc.gain_table import GainTable
+from ampc_ros.mpc.gain_schedule import CURVATURE_TIME, GainSchedule, Situation, scheduled_gains
+from ampc_ros.mpc.gain_table import GainTable, Table
 from ampc_ros.mpc.internal_model import (
     ACTUATOR,
     LARGEST_LAG,
@@ -64,7 +65,7 @@ class PreviewMpc(Controller):
             chassis: Chassis of the internal model.
             steering: Steering actuator of the internal model: limits, delay, lag.
             settings: Limits and solver.
-            table: Gains by speed.
+            table: Gains by speed, or a gain set with a learned schedule.
             base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
                 gravity [m]; by default `odom` describes the rear axle.
         """
@@ -75,7 +76,7 @@ class PreviewMpc(Controller):
         numbers = filter_numbers(vehicle, actuator, settings.sample_time, noise, least_share)
         self.model_row = np.append(row, numbers)
         self.period = settings.sample_time
-        self.table = table.table
+        self.table, self.schedule = table.table, table.schedule
         unknown = LARGEST_LAG if settings.adaptation else 0.0
         ticks = self.most_ticks = math.ceil((steering.delay + unknown) / self.period - 1e-6)
         self.horizon = max(gains.prediction_horizon for gains in table.nodes) + ticks
@@ -126,15 +127,38 @@ class PreviewMpc(Controller):
         last_ns, self.last_ns = self.last_ns, state.stamp_ns
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
         points = np.empty((self.horizon, 3))
-        table, scratch = tuple(self.table), tuple(self.scratch)
+        table, outside = self.table, False
+        if self.schedule:
+            table, outside = self.scheduled_table(self.schedule, state.v_x, path)
+        gains, scratch = tuple(table), tuple(self.scratch)
         steering, rate, diagnosis = call_preview_tick(
-            self.model_row, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
+            self.model_row, gains, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
         answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
+        if outside:
+            answer = answer._replace(diagnosis=answer.diagnosis._replace(outside_table=1.0))
         if math.isnan(answer.diagnosis.prediction_horizon):
             return answer
         H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
+
+    def scheduled_table(
+        self, schedule: GainSchedule, v_x: float, path: Path
+    ) -> tuple[Table, bool]:
+        """Return the single node with the gains of a schedule, and whether the speed is outside.
+
+        Where an input is not finite, such as the curvature before the first projection, the node
+        is returned as it is.
+        """
+        ticks, share, lag = self.model.actuator
+        curvature = curvature_ahead(path, int(self.memory[INDEX]), CURVATURE_TIME * v_x)
+        situation = Situation(v_x, curvature, (ticks + share) * self.period + lag)
+        gains = scheduled_gains(schedule, situation)
+        if gains is None:
+            return self.table, False
+        (horizon, moves, terms, _, Q, _), (low, high) = self.table.nodes[0], schedule.speed
+        node = (horizon, moves, terms, gains.laguerre_pole, Q, gains.increment_weight)
+        return self.table._replace(nodes=np.array([node])), not low <= v_x <= high
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Continue from an angle that another source commanded; see `Controller`."""
@@ -189,3 +213,23 @@ class PreviewMpc(Controller):
         reach = (1.0 + ticks + share + lag / self.period) * self.model.limits.Delta_u_max
         self.memory[STATE_DELTA] = angle
         self.memory[-1] = min(max(self.steering, angle - reach), angle + reach)
+
+
+def curvature_ahead(path: Path, index: int, distance: float) -> float:
+    """Return the largest |curvature| of a path over a distance from a sample [1/m].
+
+    Args:
+        path: The path; beyond its end it is straight.
+        index: Sample of the last projection, which continues over the laps of a closed path.
+        distance: [m].
+
+    Returns:
+        nan if the car has not been projected yet, or the distance is not finite.
+    """
+    if index == NOT_CAUGHT or not math.isfinite(distance):
+        return math.nan
+    last = len(path.x) - 1
+    count = int(min(max(distance / path.spacing, 0.0), last)) + 1
+    samples = np.arange(index, index + count)
+    samples = samples % last if path.closed else samples[samples <= last]
+    return float(np.abs(path.curvature[samples]).max(initial=0.0))
