@@ -142,9 +142,7 @@ class PreviewMpc(Controller):
         H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
-    def scheduled_table(
-        self, schedule: GainSchedule, v_x: float, path: Path
-    ) -> tuple[Table, bool]:
+    def scheduled_table(self, schedule: GainSchedule, v_x: float, path: Path) -> tuple[Table, bool]:
         """Return the single node with the gains of a schedule, and whether the speed is outside.
 
         Where an input is not finite, such as the curvature before the first projection, the node
