@@ -1,4 +1,4 @@
-"""Tune a gain table by particle swarm, and write it with proof and provenance.
+"""Tune a gain table by particle swarm, judge it on unseen cars, and write it with its proof.
 
 `python launch_scripts/tune.py --vehicle my_car.yaml`. Exit code 0: a table or a single gain set is
 written; 2: wrong option, file or cluster; 130: interrupted, continue with `--resume`.
@@ -23,12 +23,25 @@ from rich.text import Text
 from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.certificate import certify_command
 from ampc_ros.configuration import Choices
-from ampc_ros.pso.swarm import Swarm
 from launch_scripts.run.options import print_vehicle_warnings
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
-from launch_scripts.tuning.report import TuningReport, prove, provenance, table_yaml
+from launch_scripts.tuning.methods import METHODS, Record
+from launch_scripts.tuning.report import (
+    TuningReport,
+    polish_searches,
+    prove,
+    provenance,
+    table_yaml,
+)
 from launch_scripts.tuning.search import Checkpoints, run_searches, write_atomically
-from launch_scripts.tuning.task import PRESETS, SYMBOLS, Search, TuningTask, read_task
+from launch_scripts.tuning.task import (
+    PRESETS,
+    SYMBOLS,
+    TABLE_SEARCH,
+    Search,
+    TuningTask,
+    read_task,
+)
 from launch_scripts.tuning.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
@@ -43,14 +56,17 @@ def build_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--vehicle", default="paper", help=f"YAML file, or {', '.join(shipped('vehicles'))}")
     add("--formulation", default="preview", choices=PRESETS, help="formulation of the controller")
+    add("--settings", default=SETTINGS, help=f"controller: {', '.join(shipped('controllers'))}")
+    add("--method", default="pso", choices=METHODS, help="search method; paper: Eqs. (31)-(34)")
     add("--fitness", choices=FITNESS, help="default: that of the formulation")
     add("--speeds", nargs="*", type=float, metavar="V", help="speeds of the table [m/s]")
     add("--references", nargs="*", type=float, metavar="Y", help="lateral references [m]")
     add("--tune", nargs="+", choices=SYMBOLS, metavar="GAIN", help=" ".join(SYMBOLS))
     add("--bounds", nargs="+", default=[], metavar="GAIN=LOW:HIGH", help="bounds of tuned gains")
     add("--fix", nargs="+", default=[], metavar="GAIN=VALUE", help="gains that are not tuned")
-    add("--particles", type=int, help="default: paper 20, preview 10")
-    add("--generations", type=int, help="default: paper 15, preview 8")
+    add("--evaluations", type=int, help="at each node; default: paper 96, preview 48")
+    add("--particles", type=int, help="of --method paper; default: 20")
+    add("--generations", type=int, help="of --method paper; default: 15")
     add("--seeds", nargs="+", type=int, default=[1, 2], help="the best seed counts")
     add("--output", type=Path, help="file; default: runs/tune/<vehicle>_<...>.yaml")
     add("--resume", action="store_true", help="continue an interrupted tuning")
@@ -79,7 +95,11 @@ def search_and_prove(
 ) -> TuningReport:
     """Run all searches with a progress bar, and compare their results."""
     searches = task.searches()
-    total = sum(search.drives * (search.settings.generations + 1) for search in searches)
+    total = sum(search.drives for search in searches)
+    if task.is_smooth:
+        total += sum(task.evaluations * len(task.speeds) for _ in task.seeds) - sum(
+            search.drives for search in searches if search.purpose == TABLE_SEARCH
+        )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"))
     clocks = TimeElapsedColumn(), TimeRemainingColumn(elapsed_when_finished=True)
     with Progress(*columns, *clocks, console=console) as bar:
@@ -87,15 +107,18 @@ def search_and_prove(
         shown: dict[str, int] = {}
         lock = threading.Lock()
 
-        def show(search: Search, swarm: Swarm) -> None:
-            best = f"best fitness {swarm.best_fitness.min():.3g}"
+        def show(search: Search, record: Record) -> None:
+            best = f"best fitness {record.fitness.min():.3g}"
             with lock:
-                new = swarm.generation + 1 - shown.get(search.name, 0)
-                shown[search.name] = swarm.generation + 1
-            bar.update(line, advance=new * search.drives, description=search.name, best=best)
+                new = len(record.fitness) - shown.get(search.name, 0)
+                shown[search.name] = len(record.fitness)
+            drives = new * len(search.nodes)
+            bar.update(line, advance=drives, description=search.name, best=best)
 
         results = run_searches(searches, workers, checkpoints, show)
-        bar.update(line, description="proof", best="")
+        if polishes := polish_searches(task, results):
+            results |= run_searches(polishes, workers, checkpoints, show)
+        bar.update(line, completed=total, description="proof", best="")
         return prove(task, results, workers)
 
 
@@ -109,7 +132,9 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
         raise ValueError(f"--workers {chosen.workers}: must be at least 1")
     task = read_task(chosen)
     print_vehicle_warnings(task.vehicle, console)
-    name = f"{Path(task.vehicle).stem}_{task.formulation}_{task.kind}.yaml"
+    words = [Path(task.vehicle).stem, task.formulation, task.kind]
+    words += [Path(task.settings).stem] * (task.settings != SETTINGS)
+    name = f"{'_'.join(words)}.yaml"
     output = chosen.output or Path("runs/tune") / name
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
@@ -125,7 +150,7 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     write_atomically(output.with_suffix(".json"), f"{proof}\n")
     checkpoints.clear()
     console.print(f"written: {output} and the proof {output.stem}.json", markup=False)
-    tuned = Choices(controller=task.formulation, vehicle=task.vehicle, settings=SETTINGS)
+    tuned = Choices(controller=task.formulation, vehicle=task.vehicle, settings=task.settings)
     console.print(f"certify it: {certify_command(tuned, output)}", markup=False)
 
 

@@ -38,6 +38,7 @@ SLOW = {
     *(
         "test_certificate",
         "test_certify",
+        "test_claim_by_speed",
         "test_compiled_ticks",
         "test_fitness",
         "test_recover",

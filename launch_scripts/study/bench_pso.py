@@ -1,7 +1,8 @@
 """Measure the paper's particle swarm and other methods on test functions; check its claim.
 
-`python -m launch_scripts.study.bench_pso`; `--seeds 11` for a quick run. Every method has the same
-number of evaluations. Exit code 1: a bar does not hold.
+`python -m launch_scripts.study.bench_pso`; `--seeds 11 --tuning-seeds 0` for a quick run. Every
+method has the same number of evaluations. The methods of the tuner are measured on its own fitness
+as well. Exit code 1: a bar does not hold.
 """
 
 import argparse
@@ -37,6 +38,17 @@ from launch_scripts.study.pso_methods import (
     reading_medians,
     search_curves,
 )
+from launch_scripts.study.pso_tuning import (
+    BEST,
+    EVALUATIONS,
+    LONG,
+    TUNING_PROBLEMS,
+    method_names,
+    tuning_bars,
+    tuning_curves,
+    tuning_results,
+    tuning_tables,
+)
 
 CONSOLE_WIDTH = 240
 """Minimum width of the printed tables [characters]."""
@@ -61,7 +73,11 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("runs/bench_pso"), help="output folder")
     parser.add_argument("--seeds", type=int, default=51, help="runs each; default: %(default)s")
     parser.add_argument("--workers", type=int, default=2, help="processes; default: %(default)s")
+    text = "seeds on the tuner's fitness (20 minutes); 0: none; default: %(default)s"
+    parser.add_argument("--tuning-seeds", type=int, default=20, help=text)
     chosen = parser.parse_args(arguments)
+    if chosen.tuning_seeds < 0:
+        parser.error(f"--tuning-seeds {chosen.tuning_seeds} must be at least 0")
     for name in ("seeds", "workers"):
         if getattr(chosen, name) < 1:
             parser.error(f"--{name} {getattr(chosen, name)} must be at least 1")
@@ -84,6 +100,27 @@ def measure_methods(seeds: int, workers: int, progress: Progress) -> dict[str, A
             {key: future.result() for key, future in runs.items()},
             {key: future.result() for key, future in medians.items()},
         )
+
+
+def measure_tuning(seeds: int, workers: int, progress: Progress) -> dict[str, Any]:
+    """Run the tuner's methods on its own fitness, in parallel; return the results."""
+    with ProcessPoolExecutor(workers) as pool:
+        budgets = {name: (name, EVALUATIONS[-1], seeds) for name in method_names()}
+        budgets[BEST] = ("pso", LONG, 1)
+        runs = {
+            (number, name, seed): pool.submit(tuning_curves, number, method, [seed], budget)
+            for number in range(len(TUNING_PROBLEMS))
+            for name, (method, budget, count) in budgets.items()
+            for seed in range(count)
+        }
+        for _ in progress.track(as_completed(runs.values()), len(runs), description="tuning"):
+            pass
+    curves: dict[str, dict[str, Array]] = {}
+    for (number, name, _), run in runs.items():
+        by_method = curves.setdefault(TUNING_PROBLEMS[number].name, {})
+        rows = run.result()
+        by_method[name] = np.vstack((by_method[name], rows)) if name in by_method else rows
+    return tuning_results(curves)
 
 
 def bench_results(runs: Runs, medians: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
@@ -188,7 +225,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print("note: CMA-ES is left out: pip install -r lock/requirements-bench.txt")
     with Progress(console=console) as progress:
         results = measure_methods(chosen.seeds, chosen.workers, progress)
+        if chosen.tuning_seeds:
+            tuning = measure_tuning(chosen.tuning_seeds, chosen.workers, progress)
+            results |= {"tuning": tuning, "bars": results["bars"] | tuning_bars(tuning)}
     tables = bench_tables(results)
+    if chosen.tuning_seeds:
+        lines = tuning_tables(results["tuning"], chosen.tuning_seeds)
+        tables = "\n".join([*lines, "## Test functions", "", tables])
     console.print(Markdown(tables))
     for text, holds in results["bars"].items():
         console.print(f"  {text}: {'yes' if holds else '[bold red]NO[/]'}")

@@ -1,7 +1,11 @@
 """Drives of the reproduction: scenarios, contenders, and the switches between paper and code."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import LOST, errors, measure, record_of
@@ -46,8 +50,19 @@ DRIVE_SWITCHES = ("tyre", "plant", "speed", "horizon", "solver")
 SEARCH_SWITCHES = ("schedule", "sizes", "bounds", "fitness")
 """Differences between paper and authors' code that change a search."""
 STUDY_SWITCHES = (*DRIVE_SWITCHES, *SEARCH_SWITCHES)
+WEAK = "weak_baselines"
+"""Reading of the hand-set gains that results in the order and the ratios of the paper."""
+WEAK_WEIGHTS = {"paper": 10.0, "classic": 1000.0}
+"""R of AMPC and classic MPC in this reading; their other gains are those of Table 3."""
+WEAK_LOOK_AHEAD = (3.0, 2.0)
+"""Look-ahead of pure pursuit in this reading: time [s], minimum distance [m]."""
+WEAK_LABELS = {
+    "paper": "AMPC, R = 10",
+    "classic": "classic MPC, R = 1000",
+    "pure_pursuit": "pure pursuit, 3.0 s",
+}
 Switches = frozenset[str]
-"""Names of the switches that are set to the authors' code."""
+"""Names of the switches that are set to the authors' code, and WEAK in that reading."""
 
 
 class TunedGains(NamedTuple):
@@ -80,9 +95,32 @@ class DiagnosisRecorder:
         return command
 
 
+@cache
+def paper_car() -> Vehicle:
+    """Return the paper's car."""
+    return load_vehicle_file(find("vehicles", "paper"))
+
+
+@cache
+def table3_gains() -> Gains:
+    """Return the gains of the paper's Table 3."""
+    return load_gain_table("table3").nodes[0]
+
+
+@cache
+def table3_settings() -> ControllerSettings:
+    """Return the limits of the paper's Table 3."""
+    return load(ControllerSettings, find("controllers", "table3"))
+
+
+def contender_labels(switches: Switches) -> dict[str, str]:
+    """Return the names of the contenders for readers."""
+    return CONTENDERS | (WEAK_LABELS if WEAK in switches else {})
+
+
 def plant_vehicle(switches: Switches) -> Vehicle:
     """Return the simulated car: the paper's, or parts of it from the authors' code."""
-    vehicle = load_vehicle_file(find("vehicles", "paper"))
+    vehicle = paper_car()
     if "tyre" in switches:
         tyre = replace(vehicle.tyre, model="linear", friction=3.0, relaxation_length=0.1)
         vehicle = vehicle._replace(tyre=tyre)
@@ -94,7 +132,7 @@ def plant_vehicle(switches: Switches) -> Vehicle:
 def controller_settings(fixed_speed: float, switches: Switches) -> ControllerSettings:
     """Return limits and solver; with `fixed_speed` 0 the model follows the measured speed."""
     solver = "hildreth" if "solver" in switches else "active_set"
-    settings = load(ControllerSettings, find("controllers", "table3"))
+    settings = table3_settings()
     return replace(settings, nominal_speed=fixed_speed, solver=solver)
 
 
@@ -109,20 +147,22 @@ def build_contender(
     name: str, fixed_speed: float, tuned: TunedGains, switches: Switches
 ) -> Steering:
     """Return a contender; its internal model is the paper's car, whatever the plant is."""
-    car = load_vehicle_file(find("vehicles", "paper"))
+    car = paper_car()
     settings = controller_settings(fixed_speed if name in FIXED_CONTENDERS else 0.0, switches)
     if name == "preview":
         exact = replace(settings, solver="active_set")
         table = load_gain_table(default_table("preview", "paper"))
         return PreviewMpc(car.chassis, car.steering, exact, table)
     if name == "pure_pursuit":
-        time, distance = tuned.look_ahead
+        time, distance = WEAK_LOOK_AHEAD if WEAK in switches else tuned.look_ahead
         chosen = replace(settings, look_ahead_time=time, min_look_ahead=distance)
         return PurePursuit(car.chassis, chosen)
     if name == "paper_pso":
         return LateralMpc(car.chassis, settings, load_gain_table("paper_pso"))
     sets = {"paper_one": tuned.adaptive, "classic_pso": tuned.fixed}
-    gains = sets.get(name, load_gain_table("table3").nodes[0])
+    gains = sets.get(name, table3_gains())
+    if WEAK in switches and name in WEAK_WEIGHTS:
+        gains = gains._replace(increment_weight=WEAK_WEIGHTS[name])
     return LateralMpc(car.chassis, settings, constant_table(gains, switches))
 
 
@@ -155,7 +195,7 @@ def drive_contender(
 def study_scenario(name: str, **changes: Any) -> Scenario:
     """Return a shipped scenario for the paper's car with some of its fields changed."""
     speed = changes.pop("speed", None)
-    size = load_vehicle_file(find("vehicles", "paper")).size
+    size = paper_car().size
     return load_scenario(name, size, speed)._replace(**changes)
 
 
@@ -172,3 +212,29 @@ def drive_metrics(driven: SimulatedDrive) -> dict[str, Any]:
         "ticks": len(driven.error),
         "lost": bool((metrics["max_error_m"] or 0.0) > LOST),
     }
+
+
+def metrics_of(
+    names: Sequence[str],
+    scenario: Scenario,
+    tuned: TunedGains,
+    switches: Switches,
+    **steering: float,
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of some contenders in a scenario."""
+    return {
+        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
+    }
+
+
+def largest_error(driven: SimulatedDrive) -> float:
+    """Return the largest absolute cross-track error [m]."""
+    return float(np.abs(driven.error).max())
+
+
+def mean_square_errors(
+    name: str, roads: Sequence[str], tuned: TunedGains, switches: Switches
+) -> dict[str, float]:
+    """Return the mean squared error of a contender by road [m^2]."""
+    drives = {r: drive_contender(name, study_scenario(r), tuned, switches) for r in roads}
+    return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}

@@ -20,6 +20,7 @@ from launch_scripts.reporting.style import (
     stack,
 )
 from launch_scripts.run.simulated import SimulatedDrive, centre_of_gravity, ticks_until_lost
+from launch_scripts.study.claim_by_speed import draw_claim
 from launch_scripts.study.claims import PAPER_MSE
 from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
 from launch_scripts.study.measurements import LOOK_AHEAD_DISTANCES
@@ -41,9 +42,11 @@ CURVE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00"
 
 
 def draw_figures(
-    results: Mapping[str, Any], driven: Mapping[str, Mapping[str, SimulatedDrive]]
+    results: Mapping[str, Any],
+    driven: Mapping[str, Mapping[str, SimulatedDrive]],
+    labels: Mapping[str, str] = CONTENDERS,
 ) -> dict[str, Figure]:
-    """Draw all figures of the page, by name."""
+    """Draw all figures of the page, by name; `labels` are the names of the contenders."""
     # curves by name: abscissa, ordinate
     searches = {
         f"{t['model']}, seed {t['seed']}": (range(len(t["history_m2"])), t["history_m2"])
@@ -63,8 +66,9 @@ def draw_figures(
     sc1 = PAPER_MSE["sc1"]
     levels = {"paper's AMPC": sc1["paper"], "paper's classic": sc1["classic"]}
     return {
-        **{road: draw_road(row) for road, row in driven.items()},
-        "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"]),
+        "claim_by_speed": draw_claim(results["claim_by_speed"]),
+        **{road: draw_road(row, labels) for road, row in driven.items()},
+        "adaptation": draw_adaptation(driven.get("sc3_varying") or driven["sc2"], labels),
         "sphere": draw_sphere({name: results["sphere"]["curves"][name] for name in SHOWN_SWARMS}),
         "tuning": draw_curves(searches, "generation", "best fitness [m\u00b2]"),
         "look_ahead": draw_curves(look_ahead, "look-ahead time [s]", "mean MSE [m\u00b2]"),
@@ -72,7 +76,7 @@ def draw_figures(
     }
 
 
-def draw_road(driven: Mapping[str, SimulatedDrive]) -> Figure:
+def draw_road(driven: Mapping[str, SimulatedDrive], labels: Mapping[str, str]) -> Figure:
     """Draw a scenario: path, error, steering, yaw rate, speed, and wind if there is any."""
     shown = {name: d for name, d in driven.items() if name in CONTROLLER_STYLES}
     first = next(iter(shown.values()))
@@ -117,7 +121,8 @@ def draw_road(driven: Mapping[str, SimulatedDrive]) -> Figure:
     figure.draw_without_rendering()
     for panel in ("place", *SCALED_PANELS):
         named = stayed if panel in SCALED_PANELS else list(shown)
-        label_contenders(axes[panel], {name: curves[name][panel][1][-1] for name in named})
+        ends = {name: float(curves[name][panel][1][-1]) for name in named}
+        label_contenders(axes[panel], ends, labels)
     return figure
 
 
@@ -137,13 +142,13 @@ def panel_curves(driven: SimulatedDrive) -> dict[str, tuple[Array, Array]]:
     return {panel: (a[:n], b[:n]) for panel, (a, b) in curves.items()}
 
 
-def label_contenders(ax: Axes, ends: Mapping[str, float]) -> None:
+def label_contenders(ax: Axes, ends: Mapping[str, float], labels: Mapping[str, str]) -> None:
     """Label the lines of contenders at their right ends."""
-    colors = {CONTENDERS[name]: CONTROLLER_STYLES[name][0] for name in ends}
-    label_ends(ax, {CONTENDERS[name]: float(end) for name, end in ends.items()}, colors)
+    colors = {labels[name]: CONTROLLER_STYLES[name][0] for name in ends}
+    label_ends(ax, {labels[name]: end for name, end in ends.items()}, colors)
 
 
-def draw_adaptation(driven: Mapping[str, SimulatedDrive]) -> Figure:
+def draw_adaptation(driven: Mapping[str, SimulatedDrive], labels: Mapping[str, str]) -> Figure:
     """Draw the gains in use over time: horizons, Laguerre terms, Q / R."""
     gains: dict[str, Callable[[Diagnosis], float]] = {
         "N_p [ticks]": lambda d: d.prediction_horizon,
@@ -169,7 +174,7 @@ def draw_adaptation(driven: Mapping[str, SimulatedDrive]) -> Figure:
     axes[-1].set_xlabel("time [s]")
     figure.draw_without_rendering()
     for ax, rows in zip(axes, values.values(), strict=True):
-        label_contenders(ax, {name: row[-1] for name, row in rows.items()})
+        label_contenders(ax, {name: row[-1] for name, row in rows.items()}, labels)
     return figure
 
 

@@ -8,31 +8,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import Drive, errors
-from ampc_msgs_config.paths.curves import q
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
-from ampc_ros.mpc.gain_table import Gains, load_gain_table
+from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
-from ampc_ros.pso.swarm import Dimension
+from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.attempts import measure_attempts
 from launch_scripts.study.drives import (
     CONTENDERS,
     DRIVE_SWITCHES,
     FIXED_SPEED,
     SEARCH_SWITCHES,
     STUDY_ROADS,
+    WEAK,
     Switches,
     TunedGains,
     constant_table,
     controller_settings,
     drive_contender,
     drive_metrics,
+    largest_error,
+    mean_square_errors,
+    metrics_of,
+    paper_car,
     plant_vehicle,
     study_scenario,
+    table3_gains,
 )
 from launch_scripts.study.pso_methods import (
     METHODS,
@@ -44,10 +48,11 @@ from launch_scripts.study.pso_methods import (
     search_curves,
 )
 from launch_scripts.study.pso_variants import VariantSettings
+from launch_scripts.study.speed_sweep import ClaimPlan, measure_claim
+from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean
 from sim_vehicle.closed_loop import Simulation
-from sim_vehicle.parameters import load_vehicle_file
 
 TUNING_ROADS = ("sc1", "sc2", "sc3_varying")
 """Gains and look-ahead are tuned on these roads; the others are held out."""
@@ -66,21 +71,6 @@ GAIN_BOUNDS = {
 """Bounds of alpha, N, N_c, N_p and the decadic logarithms of Q and R."""
 GAIN_NAMES = ("alpha", "N", "N_c", "N_p", "log10 Q", "log10 R")
 SWARMS = ("proposed", "linear", "damped", "classic", "fitted linear", "Zhan's adaptive")
-MOVE_LENGTHS = (15.0, 20.0, 30.0, 45.0, 60.0)
-"""Lengths of each half of the double lane change in the geometry sweep [m]."""
-LANE_WIDTH, STRAIGHT_LENGTH = 3.5, 25.0
-"""Lateral offset of the lane change, and distance between its halves [m]."""
-FRAGILITY: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
-    "Sc1, 50 ms of steering delay": ("sc1", {}, {"delay": 0.05}),
-    "Sc1, 100 ms of steering lag": ("sc1", {}, {"lag": 0.1}),
-    "straight, joined from 0.5 m, 9 m/s": ("straight", {"start_offset": 0.5, "speed": 9.0}, {}),
-    "straight, joined from 0.5 m, 15 m/s": ("straight", {"start_offset": 0.5, "speed": 15.0}, {}),
-    "straight, joined from 0.5 m, 21 m/s": ("straight", {"start_offset": 0.5, "speed": 21.0}, {}),
-}
-"""Unmodelled conditions: scenario, changes of the scenario, changes of the steering."""
-WIND_SPEEDS = (11.0, 13.0, 15.0, 16.0, 17.0, 18.0)
-"""Speeds on the stretched road, with and without wind [m/s]."""
-NO_SWITCH: Switches = frozenset()
 StepCallback = Callable[[], None]
 """Called after each of the steps that `count_steps` counts."""
 
@@ -89,7 +79,7 @@ class StudyPlan(NamedTuple):
     """Extent of a reproduction."""
 
     switches: Switches
-    """Switches that are set to the authors' code in all measurements."""
+    """Switches of all measurements: choices of the authors' code, and WEAK."""
     roads: tuple[str, ...] = tuple(STUDY_ROADS)
     tuning_roads: tuple[str, ...] = TUNING_ROADS
     tuning_seeds: tuple[int, ...] = (1, 2, 3)
@@ -99,18 +89,21 @@ class StudyPlan(NamedTuple):
     problems: int = len(PROBLEMS)
     single_switches: tuple[str, ...] = DRIVE_SWITCHES
     """Switches whose effect is measured one at a time."""
+    claim: ClaimPlan = ClaimPlan()
+    """Speeds and searches of the claim over speed, always in the paper's reading."""
 
 
 def quick_plan(switches: Switches) -> StudyPlan:
     """Return the plan of a quick run: two roads and a tiny search."""
     swarm = (("particles", 3), ("generations", 1))
-    return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",))
+    claim = ClaimPlan((5.4, 15.0), PsoSettings(particles=3, generations=1), noise_seeds=1)
+    return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",), claim)
 
 
 def count_steps(plan: StudyPlan) -> int:
     """Return the number of steps that `measure_study` reports."""
     moves = sum(swarm_settings(s, plan).generations + 1 for _, s, _ in gain_searches(plan))
-    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 3
+    return 1 + moves + len(plan.roads) + len(plan.single_switches) + 2 + 4 + plan.claim.steps
 
 
 def measure_study(
@@ -135,16 +128,17 @@ def measure_study(
             }
         step()
     # one difference at a time taken from the authors' code, then all of them
-    cases: dict[str, Switches] = {switch: frozenset([switch]) for switch in plan.single_switches}
-    effects = {}
-    for name, switches in {"none": NO_SWITCH, **cases, "all": frozenset(DRIVE_SWITCHES)}.items():
+    cases = {"none": (), **{s: (s,) for s in plan.single_switches}, "all": DRIVE_SWITCHES}
+    effects, reading = {}, plan.switches & {WEAK}
+    for name, changed in cases.items():
+        own = reading | {*changed}
         effects[name] = {
-            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, switches)
+            road: metrics_of(("paper", "classic"), study_scenario(road), tuned, own)
             for road in plan.roads
         }
         step()
     # the increment weight, with the other gains of Table 3
-    table3, sweep = load_gain_table("table3").nodes[0], []
+    table3, sweep = table3_gains(), []
     for R in INCREMENT_WEIGHTS:
         gains = TunedGains((0.6, 4.0), table3, table3._replace(increment_weight=R))
         mse = mean_square_errors("paper_one", plan.tuning_roads[:2], gains, plan.switches)
@@ -154,6 +148,9 @@ def measure_study(
     step()
     swarms = measure_swarms(plan.sphere_seeds, plan.problems)
     step()
+    claim_by_speed = measure_claim(plan.claim, step)
+    weak_baselines = measure_weak_baselines(plan.roads, plan.switches)
+    step()
     return {
         "roads": {r: {n: drive_metrics(d) for n, d in row.items()} for r, row in driven.items()},
         **searches,
@@ -162,66 +159,9 @@ def measure_study(
         "sweep": sweep,
         **attempts,
         "sphere": swarms,
+        "claim_by_speed": claim_by_speed,
+        "weak_baselines": weak_baselines,
     }, driven
-
-
-def measure_attempts(tuned: TunedGains, switches: Switches) -> dict[str, Any]:
-    """Return what was tried where the paper does not reproduce: lane changes, margins, wind."""
-    geometry, wind_speeds = [], []
-    for length in MOVE_LENGTHS:
-        names = ("paper", "classic", "pure_pursuit")
-        metrics = metrics_of(names, double_lane_change(length), tuned, switches)
-        mse = {name: row["mse_m2"] for name, row in metrics.items()}
-        geometry.append({"length_m": length, "mse_m2": mse})
-    names = ("paper", "pure_pursuit", "preview")
-    fragile = {
-        condition: metrics_of(names, study_scenario(road, **changes), tuned, switches, **steering)
-        for condition, (road, changes, steering) in FRAGILITY.items()
-    }
-    for speed in WIND_SPEEDS:
-        windy = study_scenario("sc3_fast_wind", speed=speed)
-        air = {"calm": windy._replace(wind=()), "wind": windy}
-        errors_m = {
-            f"{name}_{key}_m": largest_error(drive_contender(name, scenario, tuned, switches))
-            for name, (key, scenario) in product(("paper", "classic"), air.items())
-        }
-        wind_speeds.append({"speed_mps": speed, **errors_m})
-    return {"geometry": geometry, "fragile": fragile, "wind_speeds": wind_speeds}
-
-
-def metrics_of(
-    names: Sequence[str],
-    scenario: Scenario,
-    tuned: TunedGains,
-    switches: Switches,
-    **steering: float,
-) -> dict[str, dict[str, Any]]:
-    """Return the metrics of some contenders in a scenario."""
-    return {
-        n: drive_metrics(drive_contender(n, scenario, tuned, switches, **steering)) for n in names
-    }
-
-
-def largest_error(driven: SimulatedDrive) -> float:
-    """Return the largest absolute cross-track error [m]."""
-    return float(np.abs(driven.error).max())
-
-
-def mean_square_errors(
-    name: str, roads: Sequence[str], tuned: TunedGains, switches: Switches
-) -> dict[str, float]:
-    """Return the mean squared error of a contender by road [m^2]."""
-    drives = {r: drive_contender(name, study_scenario(r), tuned, switches) for r in roads}
-    return {road: float(np.mean(np.square(each.error))) for road, each in drives.items()}
-
-
-def double_lane_change(length: float) -> Scenario:
-    """Return Sc1 with another length of each half of the double lane change [m]."""
-    X = np.arange(0.0, 30.0 + 2 * length + STRAIGHT_LENGTH + 150.0, 0.5)
-    back = (X - 30.0 - length - STRAIGHT_LENGTH) / length
-    Y: Array = LANE_WIDTH * (q((X - 30.0) / length) - q(back))
-    duration = round((30.0 + 2 * length + STRAIGHT_LENGTH + 40.0) / 9.0, 1)
-    return study_scenario("sc1", points=np.column_stack((X, Y)), duration=duration)
 
 
 def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
@@ -237,10 +177,11 @@ def gain_searches(plan: StudyPlan) -> list[tuple[bool, Switches, int]]:
 
 def search_gains(plan: StudyPlan, step: StepCallback) -> tuple[TunedGains, dict[str, Any]]:
     """Search for the look-ahead and the single gain sets; return the best, and all results."""
-    table3, trials = load_gain_table("table3").nodes[0], list[dict[str, Any]]()
+    table3, trials = table3_gains(), list[dict[str, Any]]()
+    searched = plan.switches - {WEAK}  # which has a look-ahead of its own
     for time, distance in product(LOOK_AHEAD_TIMES, LOOK_AHEAD_DISTANCES):
         tuned = TunedGains((time, distance), table3, table3)
-        mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, plan.switches)
+        mse = mean_square_errors("pure_pursuit", plan.tuning_roads, tuned, searched)
         fitness = float(geometric_mean(np.array(list(mse.values()))))
         trials.append({"time_s": time, "distance_m": distance, "fitness_m2": fitness, "mse": mse})
     first = min(trials, key=lambda trial: float(trial["fitness_m2"]))
@@ -342,7 +283,7 @@ def gain_fitness(fixed: bool, roads: Sequence[str], switches: Switches) -> Calla
         scenarios = [study_scenario(name) for name in roads]
     speeds = [FIXED_SPEED.get(s.name, 9.0) if fixed else 0.0 for s in scenarios]
     settings = [controller_settings(speed, switches) for speed in speeds]
-    plant, chassis = plant_vehicle(switches), load_vehicle_file(find("vehicles", "paper")).chassis
+    plant, chassis = plant_vehicle(switches), paper_car().chassis
 
     def fitness(positions: Array) -> Array:
         result, cars = np.full(len(positions), np.inf), dict[int, list[Entry]]()

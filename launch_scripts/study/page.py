@@ -6,7 +6,7 @@ from typing import Any
 
 from launch_scripts.reporting.pages import render
 from launch_scripts.study.claims import PAPER_MSE
-from launch_scripts.study.drives import CONTENDERS, STUDY_ROADS
+from launch_scripts.study.drives import STUDY_ROADS, WEAK, contender_labels
 
 
 def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -16,14 +16,16 @@ def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:
         results: Content of `results.json`.
         figures: SVG texts by name.
     """
-    labels = STUDY_ROADS | CONTENDERS
+    weak = results["meta"]["reading"] == WEAK
+    labels = STUDY_ROADS | contender_labels(frozenset({WEAK} if weak else ()))
     return render(
         "study/reproduce.html",
         **results,
         figures=figures,
         labels=labels,
         labels_of=lambda names: [labels[name] for name in names],
-        explained=not (results["meta"]["quick"] or results["meta"]["authors_code"]),
+        weak=weak,
+        explained=not (results["meta"]["quick"] or results["meta"]["authors_code"] or weak),
         nearest={road: nearest_switch(results, road) for road in ("sc1", "sc2")},
     )
 

@@ -1,18 +1,17 @@
 """Test functions, search methods and readings of the paper for the benchmark of its swarm."""
 
-import importlib.util
 import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import Bounds, differential_evolution
 
 from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.study.pso_variants import VariantSettings
+from launch_scripts.tuning.methods import Record, has_cma, run_method
 
 PARTICLES, GENERATIONS, SCHEDULE = 20, 41, 100
 """Sizes of the paper's comparison: 41 of 100 generations are shown."""
@@ -20,8 +19,6 @@ BUDGET = PARTICLES * (GENERATIONS + 1)
 """Number of evaluations of every method."""
 BOUND = 10.0
 """Every dimension is searched within +-10."""
-FIRST_STEP = BOUND / 2
-"""Initial standard deviation of CMA-ES: a quarter of the range, as its author recommends."""
 CLAIMED = ("proposed", "linear", "damped", "classic")
 """Variants of the paper's comparison, in the order that it claims."""
 REPORTED = {"proposed": 1e-3, "linear": 2.1, "damped": 3.11, "classic": 5.59}
@@ -37,6 +34,7 @@ METHOD_STYLES: dict[str, tuple[str, str]] = {
     "random": ("#777777", ":"),
     "CMA-ES": ("#009E73", "-"),
     "SciPy's DE": ("#000000", "--"),
+    "pso of the tuner": ("#E69F00", "-"),
 }
 """Colour (Okabe and Ito) and line style of the methods in figures; tables have all methods."""
 Cost = Callable[[Array], Array]
@@ -105,45 +103,10 @@ def swarm_search(
     minimize(cost, bounds, settings, rng, map_vectorized)
 
 
-def random_search(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
-    """Draw all positions uniformly."""
-    cost(rng.uniform(-BOUND, BOUND, (BUDGET, dimensions)))
-
-
-def cma_es(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
-    """Search with N. Hansen's CMA-ES from a random position, PARTICLES evaluations a generation."""
-    from cma import CMAEvolutionStrategy
-
-    settings = {
-        "bounds": [-BOUND, BOUND],
-        "popsize": PARTICLES,
-        "seed": int(rng.integers(1, 2**31)),
-        "verbose": -9,
-    }
-    strategy = CMAEvolutionStrategy(rng.uniform(-BOUND, BOUND, dimensions), FIRST_STEP, settings)
-    for _ in range(GENERATIONS + 1):
-        positions = strategy.ask()
-        strategy.tell(positions, cost(np.array(positions)).tolist())
-
-
-def differential_search(cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
-    """Search with SciPy's differential evolution, PARTICLES evaluations a generation."""
-    limit = np.full(dimensions, BOUND)
-
-    def transposed(x: Array, /) -> Any:
-        return cost(x.T)
-
-    differential_evolution(
-        transposed,
-        Bounds(-limit, limit),
-        init=rng.uniform(-BOUND, BOUND, (PARTICLES, dimensions)),
-        maxiter=GENERATIONS,
-        tol=0,
-        polish=False,
-        updating="deferred",
-        vectorized=True,
-        rng=rng,
-    )
+def tuner_search(name: str, cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
+    """Search with a method of `tune.py --method`, PARTICLES evaluations a generation."""
+    bounds = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(dimensions)]
+    run_method(name, Record(cost, bounds, BUDGET, PARTICLES), rng)
 
 
 def comparison_settings(variant: str, **changes: Any) -> VariantSettings:
@@ -164,11 +127,12 @@ METHODS: dict[str, Method] = {
     "fitted proposed": partial(swarm_search, comparison_settings("proposed", **FITTED)),
     "fitted linear": partial(swarm_search, comparison_settings("linear", **FITTED)),
     "Zhan's adaptive": partial(swarm_search, comparison_settings("adaptive", **FITTED)),
-    "random": random_search,
-    "CMA-ES": cma_es,
-    "SciPy's DE": differential_search,
+    "random": partial(tuner_search, "random"),
+    "CMA-ES": partial(tuner_search, "cma"),
+    "SciPy's DE": partial(tuner_search, "de"),
+    "pso of the tuner": partial(tuner_search, "pso"),
 }
-if importlib.util.find_spec("cma") is None:
+if not has_cma():
     del METHODS["CMA-ES"]
 
 
@@ -183,6 +147,7 @@ def search_curve(method: Method, problem: BenchmarkProblem, seed: int) -> Array:
 
     method(recorded, problem.dimensions, np.random.default_rng(seed))
     best = np.minimum.accumulate(values)
+    best = np.append(best, np.full(max(0, BUDGET - len(best)), best[-1]))  # a search may end early
     return np.asarray(best[PARTICLES - 1 : BUDGET : PARTICLES])
 
 

@@ -65,6 +65,12 @@ class Plant(NamedTuple):
     """Steering delay that the controller does not know [s]."""
     seed: int | None = None
     """Seed of the measurement noise `x1`; None: no noise."""
+    mass: float = 1.0
+    """Factor on mass and yaw inertia."""
+    lag: float = 0.0
+    """Steering lag that the controller does not know [s]."""
+    misalignment: float = 0.0
+    """Road-wheel angle when straight ahead is commanded [rad]."""
 
 
 PLANTS = (
@@ -79,12 +85,34 @@ PLANTS = (
     Plant("100 ms delay", known_delay=0.1),
     Plant("200 ms lag", known_lag=0.2),
     Plant("noise", seed=1),
+    Plant("mass +30 %, noise", mass=1.3, seed=2),
+    Plant("50 ms unknown lag, noise", lag=0.05, seed=3),
+    Plant("stiffness -15 %, 50 ms unknown delay, noise", stiffness=0.85, delay=0.05, seed=4),
+    Plant("wheel -0.7 deg off", misalignment=math.radians(-0.7)),
     Plant("joining", "joining"),
     Plant("joining, friction 0.3", "joining", friction=0.3),
     Plant("joining, 80 ms unknown delay", "joining", delay=0.08),
 )
 """Drives of fitness `robust`. Unknown delays of up to 90 ms exclude the nearly dead-beat gains that
 minimise the mean squared error of a single nominal drive."""
+HELD_OUT = (
+    Plant("mass +20 %, noise", mass=1.2, seed=101),
+    Plant("mass -20 %, noise", mass=0.8, seed=102),
+    Plant("stiffness -20 %, 60 ms unknown delay", stiffness=0.8, delay=0.06),
+    Plant("stiffness +20 %, noise", stiffness=1.2, seed=103),
+    Plant("friction 0.7", friction=0.7),
+    Plant("60 ms unknown lag", lag=0.06),
+    Plant("wheel 1 deg off", misalignment=math.radians(1.0)),
+    Plant("120 ms delay, 70 ms unknown", known_delay=0.05, delay=0.07),
+    Plant("100 ms lag, 50 ms unknown delay", known_lag=0.1, delay=0.05),
+    Plant("150 ms delay, noise", known_delay=0.15, seed=104),
+    Plant("40 ms unknown delay, noise", delay=0.04, seed=105),
+    Plant("joining, mass +20 %", "joining", mass=1.2),
+    Plant("joining, friction 0.6, noise", "joining", friction=0.6, seed=106),
+    Plant("joining, 60 ms unknown delay, wheel 0.5 deg off", "joining", delay=0.06,
+          misalignment=math.radians(-0.5)),
+)  # fmt: skip
+"""Drives that judge a table (`table_rule`); no search ever sees them."""
 
 
 def lane_change(v: float, curvature: float = CURVATURE) -> Scenario:
@@ -138,8 +166,12 @@ def simulated_car(plant: Plant, vehicle: Vehicle, scenario: Scenario) -> Simulat
     """Return the simulation of the actual car at the start of the drive."""
     steering = nominal_vehicle(plant, vehicle).steering
     steering = replace(steering, delay=steering.delay + plant.delay)
+    if plant.lag:
+        steering = replace(steering, lag=steering.time_constant + plant.lag)
     chassis = replace(
         vehicle.chassis,
+        mass=plant.mass * vehicle.chassis.mass,
+        yaw_inertia=plant.mass * vehicle.chassis.yaw_inertia,
         front_cornering_stiffness=plant.stiffness * vehicle.chassis.front_cornering_stiffness,
         rear_cornering_stiffness=plant.stiffness * vehicle.chassis.rear_cornering_stiffness,
     )
@@ -154,6 +186,7 @@ DEFINITION = repr(
     (
         (
             PLANTS,
+            HELD_OUT,
             SMALL_STEP,
             STEP_DURATION,
             LANE,

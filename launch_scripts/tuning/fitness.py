@@ -20,6 +20,7 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import check_conditioning
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.drives import (
+    HELD_OUT,
     PLANTS,
     ROADS,
     SETTLING_DEADLINE,
@@ -39,14 +40,18 @@ from launch_scripts.tuning.fleet_rows import (
 from sim_vehicle.parameters import Vehicle
 
 SETTINGS = "table3"
-"""Shipped controller settings with which gains are tuned."""
-LOST_ERROR = {"paper": 50.0, "robust": 10.0}
+"""Shipped controller settings with which gains are tuned by default."""
+REFERENCE_PERIOD = 0.1
+"""Time over which an increment is measured, so that the fitness does not depend on the rate [s]."""
+JUDGED = "held-out"
+"""Kind of the fitness `robust` on the held-out plants, which no search uses."""
+LOST_ERROR = {"paper": 50.0, "robust": 10.0, JUDGED: 10.0}
 """Cross-track error beyond which a drive has failed, by kind of fitness [m].
 
 The larger one leaves room for the overshoot of steps to 15 m."""
 INCREMENT_WEIGHT = 1.0
 """Weight of the mean squared increment. The increment is measured as the lateral displacement
-v T Delta u of the front wheels in a tick [m]."""
+v T Delta u of the front wheels in T = REFERENCE_PERIOD [m]."""
 NEGLIGIBLE = 0.005
 """Error below which a further reduction hardly improves the fitness [m]."""
 GENTLE = Gains(25, 20, 6, 0.3, 10.0, 100.0)
@@ -71,6 +76,15 @@ class Node(NamedTuple):
     """[m/s]."""
     reference: float = 0.0
     """Lateral reference of fitness `paper` [m]."""
+    settings: str = SETTINGS
+    """Shipped controller settings, or file."""
+
+    @property
+    def plants(self) -> tuple[Plant, ...]:
+        """Drives that determine the fitness."""
+        if self.kind == "paper":
+            return (Plant("step", "step"),)
+        return HELD_OUT if self.kind == JUDGED else PLANTS
 
 
 def fitness(node: Node, gains: Sequence[Gains] | Array) -> Array:
@@ -133,9 +147,10 @@ def fitness_of_log(node: Node, log: Array) -> Array:
         cost = np.mean(error**2, axis=(1, 2))
     else:
         period = prepared(node).period_ns / 1e9
-        begin = [round(SETTLING_DEADLINE[plant.road] / period) for plant in PLANTS]
+        begin = [round(SETTLING_DEADLINE[plant.road] / period) for plant in node.plants]
         squares = [np.mean(error[:, i, b:] ** 2, axis=1) for i, b in enumerate(begin)]
-        way = node.speed * period * np.diff(steering, axis=2)
+        rate = np.diff(steering, axis=2) / period
+        way = node.speed * REFERENCE_PERIOD**2 * rate
         effort = INCREMENT_WEIGHT * np.mean(way**2, axis=2)
         cost = combined(np.column_stack(squares) + effort + NEGLIGIBLE**2)
     return np.where(failed, np.inf, cost)
@@ -155,14 +170,11 @@ def combined(cost: Array) -> Array:
 @lru_cache(maxsize=1024)
 def prepared(node: Node) -> FleetRun:
     """Return the fleet of a node, which is prepared once and never changed."""
-    if node.kind == "paper":
-        plants: tuple[Plant, ...] = (Plant("step", "step"),)
-        roads = {"step": step_to(node.speed, node.reference)}
-    else:
-        plants, roads = PLANTS, {name: road(node.speed) for name, road in ROADS.items()}
-    settings = load(ControllerSettings, find("controllers", SETTINGS))
+    roads = {name: road(node.speed) for name, road in ROADS.items()}
+    roads["step"] = step_to(node.speed, node.reference)
+    settings = load(ControllerSettings, find("controllers", node.settings))
     entries = []
-    for plant in plants:
+    for plant in node.plants:
         known, table = (
             nominal_vehicle(plant, node.vehicle),
             GainTable([node.speed], [0.0], [GENTLE]),
@@ -172,5 +184,6 @@ def prepared(node: Node) -> FleetRun:
             controller = LateralMpc(known.chassis, settings, table)
         else:
             controller = PreviewMpc(known.chassis, known.steering, settings, table)
-        entries.append(Entry(simulated_car(plant, node.vehicle, roads[plant.road]), controller))
+        car = simulated_car(plant, node.vehicle, roads[plant.road])
+        entries.append(Entry(car, controller, plant.misalignment))
     return prepare_fleet(entries, LOST_ERROR[node.kind])

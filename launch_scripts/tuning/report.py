@@ -1,11 +1,12 @@
 """Proof and files of a tuning.
 
-The tuned table is compared with the best single gain set, random sampling, Table 3 of the paper
-and the shipped table. The report is shown on the screen and written as YAML and JSON.
+The tuned table is judged by `table_rule`: against the best single gain set and the hand-set gains,
+on plants and at speeds that no search has used. The report is shown on the screen and written as
+YAML and JSON.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,22 +14,24 @@ import yaml
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from ampc_msgs_config.config import shipped
 from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
-from launch_scripts.tuning.fitness import FITNESS, Node, fitness
+from launch_scripts.tuning.fitness import FITNESS, JUDGED, SETTINGS, Node, fitness
 from launch_scripts.tuning.search import SearchResult
+from launch_scripts.tuning.smoothness import smoothest
+from launch_scripts.tuning.table_rule import MAX_LOSS, MIN_SAVING, saving, worst_ratio
 from launch_scripts.tuning.task import (
-    RANDOM,
+    POLISH,
     SINGLE,
     TABLE_SEARCH,
+    Search,
     TuningTask,
     geometric_mean,
     is_reachable,
 )
 from launch_scripts.tuning.workers import Workers
 
-MIN_ADVANTAGE = 0.10
-"""Share of the single set's fitness that a table must save."""
 NO_SINGLE = "no single set found"
 
 
@@ -38,24 +41,16 @@ class Candidate(NamedTuple):
     name: str
     table: GainTable
     fitness: tuple[float, ...] = ()
-    """Fitness at the reachable nodes of the grid."""
+    """Fitness at the reachable nodes of the grid, on the training plants."""
     held_out: tuple[float, ...] = ()
-    """Fitness half-way between the speeds of the grid."""
+    """Fitness at the same nodes, on the held-out plants."""
+    between: tuple[float, ...] = ()
+    """Fitness half-way between the speeds of the grid, on the held-out plants."""
 
     @property
-    def overall(self) -> float:
-        """Geometric mean over the nodes and the held-out speeds."""
-        return mean((*self.fitness, *self.held_out))
-
-    @property
-    def at_nodes(self) -> float:
-        """Geometric mean over the nodes; infinite where a car leaves the road at one of them."""
-        return mean(self.fitness)
-
-    @property
-    def between(self) -> float:
-        """Geometric mean over the held-out speeds; with a single speed, the fitness there."""
-        return mean(self.held_out or self.fitness)
+    def judged(self) -> tuple[float, ...]:
+        """Fitness that decides about saving: between the speeds; of one speed, at that speed."""
+        return self.between or self.held_out
 
 
 class TuningReport(NamedTuple):
@@ -65,71 +60,82 @@ class TuningReport(NamedTuple):
     """The best tuned table."""
     single: Candidate
     """The best single gain set."""
+    hand_set: Candidate
+    """Gains that are compared at each speed."""
     others: tuple[Candidate, ...]
-    """Results of the other seeds, random sampling, and shipped tables."""
+    """Results of the other seeds, and Table 3."""
     not_reached: tuple[tuple[float, float], ...]
     """Speed and lateral reference of the nodes without gains of their own."""
 
     @property
-    def advantage(self) -> float:
-        """Share of the single set's fitness that the table saves, over nodes and held-out speeds.
-
-        Note:
-            The held-out speeds alone would omit both ends of the speed range, where a single set
-            is worst.
-        """
-        table, single = self.table.overall, self.single.overall
-        if math.isinf(single):
-            return 1.0
-        return -math.inf if math.isinf(table) else 1.0 - table / single
+    def saving(self) -> float:
+        """Share of the single set's fitness that the table saves between the nodes."""
+        return saving(self.table.judged, self.single.judged)
 
     @property
     def is_table(self) -> bool:
-        """True if the table is written: better by MIN_ADVANTAGE, not worse at held-out speeds.
+        """True if the table is written, by `table_rule`; otherwise the single set is written."""
+        return self.saving >= MIN_SAVING and self.loss(self.table) <= MAX_LOSS
 
-        Otherwise the single set is written.
-        """
-        return self.advantage >= MIN_ADVANTAGE and self.table.between <= self.single.between
+    @property
+    def written(self) -> Candidate:
+        """The candidate whose gains are written."""
+        return self.table if self.is_table else self.single
+
+    def loss(self, candidate: Candidate) -> float:
+        """Return the largest share by which a candidate is worse than the hand-set gains."""
+        ours = (*candidate.held_out, *candidate.between)
+        return worst_ratio(ours, (*self.hand_set.held_out, *self.hand_set.between)) - 1.0
 
     @property
     def verdict(self) -> str:
         """The decision and its reason in one sentence."""
-        if math.isinf(self.single.overall):
-            return "no single gain set brings every car through: table written"
+        if not any(map(math.isfinite, self.single.judged)):
+            return "no single gain set brings every car through: " + (
+                "table written" if self.is_table else "single gain set written"
+            )
+        saved = f"{self.saving:.0%}"
         if self.is_table:
-            gain = f"{self.advantage:.0%}"
-            return f"the table beats the best single gain set by {gain}: table written"
-        if self.advantage >= MIN_ADVANTAGE:
-            reason = "between its nodes the table is worse than the best single set"
-            return f"{reason}: single set written"
-        return (
-            f"the table does not beat the best single gain set by {MIN_ADVANTAGE:.0%} "
-            f"({self.advantage:.0%}): single gain set written"
-        )
+            better = "the table beats the best single gain set"
+            return f"{better} by {saved} on held-out plants: table written"
+        if self.saving < MIN_SAVING:
+            return (
+                f"the table does not beat the best single gain set by {MIN_SAVING:.0%} on held-out "
+                f"plants ({saved}): single gain set written"
+            )
+        lost = f"{self.loss(self.table):.0%}"
+        reason = f"at one speed the table is worse than the hand-set gains by {lost}"
+        return f"{reason}: single gain set written"
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """All candidates, the table first."""
-        return (self.table, self.single, *self.others)
+        return (self.table, self.single, self.hand_set, *self.others)
 
     def screen_table(self) -> Table:
         """Return the table for the screen."""
-        table = Table("gains", "at the nodes", "between the speeds", "lost", box=SIMPLE_HEAD)
+        headings = "gains", "training: at the nodes", "held-out: at the nodes", "between", "lost"
+        table = Table(*headings, box=SIMPLE_HEAD)
         for item in self.candidates:
-            lost = sum(map(math.isinf, (*item.fitness, *item.held_out)))
-            table.add_row(item.name, f"{item.at_nodes:.4g}", f"{item.between:.4g}", str(lost or ""))
+            values = item.fitness, item.held_out, item.between
+            lost = sum(map(math.isinf, (*item.held_out, *item.between)))
+            table.add_row(item.name, *(f"{mean(each):.4g}" for each in values), str(lost or ""))
         return table
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON values; an infinite fitness is null."""
         return {
             "verdict": self.verdict,
+            "saving": finite([self.saving])[0],
+            "written": self.written.name,
+            "worse_than_hand_set": finite([self.loss(self.written)])[0],
             "not_reached": [list(node) for node in self.not_reached],
             "candidates": {
                 item.name: {
-                    "geometric_mean": finite((item.at_nodes, item.between)),
+                    "geometric_mean": finite(means(item)),
                     "fitness": finite(item.fitness),
                     "held_out": finite(item.held_out),
+                    "between": finite(item.between),
                     "gains": [list(gains) for gains in item.table.nodes],
                 }
                 for item in self.candidates
@@ -137,14 +143,59 @@ class TuningReport(NamedTuple):
         }
 
 
+def means(item: Candidate) -> list[float]:
+    """Return the geometric means of training, and of held-out plants at and between the nodes."""
+    return [mean(item.fitness), mean(item.held_out), mean(item.between)]
+
+
 def mean(values: Sequence[float]) -> float:
-    """Return the geometric mean."""
-    return float(geometric_mean(np.array(values)))
+    """Return the geometric mean; not a number of no values."""
+    return float(geometric_mean(np.array(values))) if len(values) else math.nan
 
 
 def finite(values: Iterable[float], digits: int = 17) -> list[float | None]:
     """Return values of a number of digits for JSON or YAML; an infinite one is null."""
     return [float(f"{each:.{digits}g}") if math.isfinite(each) else None for each in values]
+
+
+def choose_gains(
+    task: TuningTask, results: Mapping[str, SearchResult]
+) -> dict[tuple[str, int], dict[tuple[float, float], Gains]]:
+    """Return the gains by speed and lateral reference, for each purpose and seed.
+
+    Nodes at which each gain set loses a car are left out.
+    """
+    gains: dict[tuple[str, int], dict[tuple[float, float], Gains]] = {}
+    for seed in task.seeds:
+        at: dict[tuple[float, float], SearchResult] = {}
+        for search in task.searches():
+            if search.seed != seed:
+                continue
+            found = [pair for pair in results[search.name] if math.isfinite(pair[1])]
+            node = search.nodes[0]
+            if search.purpose == SINGLE:
+                gains[SINGLE, seed] = {(node.speed, node.reference): found[0][0]} if found else {}
+            elif found:
+                polished = results.get(search.name.replace(TABLE_SEARCH, POLISH, 1), [])
+                found += [pair for pair in polished if math.isfinite(pair[1])]
+                at[node.speed, node.reference] = found
+        best = [found[0][0] for found in at.values()]
+        if task.is_smooth and at:
+            best = smoothest(list(at.values()))
+        gains[TABLE_SEARCH, seed] = dict(zip(at, best, strict=True))
+    return gains
+
+
+def polish_searches(task: TuningTask, results: Mapping[str, SearchResult]) -> list[Search]:
+    """Return the searches that polish the nodes after the first searches; none without a table."""
+    chosen = choose_gains(task, results)
+    whole = len(task.nodes())
+    return [
+        search
+        for seed in task.seeds
+        if task.is_smooth and len(chosen[TABLE_SEARCH, seed]) == whole
+        for search in task.polishes(seed, list(chosen[TABLE_SEARCH, seed].values()))
+    ]
 
 
 def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) -> TuningReport:
@@ -153,15 +204,7 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     Raises:
         ValueError: Every car left the road at every node.
     """
-    # gains by speed and lateral reference, for each purpose and seed
-    gains: dict[tuple[str, int], dict[tuple[float, float], Gains]] = {
-        (purpose, seed): {} for purpose in (TABLE_SEARCH, RANDOM, SINGLE) for seed in task.seeds
-    }
-    for search in task.searches():
-        found, value = results[search.name]
-        if math.isfinite(value):
-            node = search.nodes[0]
-            gains[search.purpose, search.seed][node.speed, node.reference] = found
+    gains = choose_gains(task, results)
     if not any(gains[TABLE_SEARCH, seed] for seed in task.seeds):
         raise ValueError("search: every car was lost at every node: choose other bounds")
     # all candidates, evaluated at the nodes and half-way between them
@@ -170,28 +213,41 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
         for (purpose, seed), content in gains.items()
         if content
     }
-    for name in ("table3", DEFAULT_TABLES[task.formulation]):
-        tables[f"shipped {name}"] = load_gain_table(name)
-    nodes = task.nodes()
-    at_nodes = evaluate_tables(tables, [node for node in nodes if is_reachable(node)], workers)
-    between = evaluate_tables(tables, task.held_out_nodes(), workers)
-    candidates = [Candidate(n, tables[n], at_nodes[n], between[n]) for n in tables]
-    # the best table and the best single set over all seeds
-    table, single = (
-        min(
-            (item for item in candidates if item.name.startswith(f"{purpose}, ")),
-            key=lambda item: item.overall,
+    for name in dict.fromkeys((hand_set_table(task), "table3")):
+        if name != "table3" or task.settings == SETTINGS:
+            tables[f"shipped {name}"] = load_gain_table(name)
+    nodes = [node for node in task.nodes() if is_reachable(node)]
+    judge = JUDGED if task.kind == "robust" else task.kind
+    between = [node._replace(kind=judge) for node in task.held_out_nodes()]
+    places = nodes, [node._replace(kind=judge) for node in nodes], between
+    sets = [evaluate_tables(tables, group, workers) for group in places]
+    candidates = {n: Candidate(n, tables[n], *(each[n] for each in sets)) for n in tables}
+    # the best table and the best single set over all seeds, by their training
+    best = {
+        purpose: min(
+            (item for item in candidates.values() if item.name.startswith(f"{purpose}, ")),
+            key=lambda item: mean(item.fitness),
             default=None,
         )
         for purpose in (TABLE_SEARCH, SINGLE)
-    )
+    }
+    table, single = best[TABLE_SEARCH], best[SINGLE]
     assert table is not None
     if single is None:  # each single set loses a car at one node
-        single = Candidate(NO_SINGLE, table.table, (math.inf,), (math.inf,))
-    others = tuple(item for item in candidates if item not in (table, single))
+        single = Candidate(NO_SINGLE, table.table, *[(math.inf,) * len(each) for each in places])
+    hand_set = candidates[f"shipped {hand_set_table(task)}"]
+    compared = (table, single, hand_set)
+    others = tuple(item for item in candidates.values() if item not in compared)
     own = gains[TABLE_SEARCH, int(table.name.split()[-1])]
-    places = [(node.speed, node.reference) for node in nodes]
-    return TuningReport(table, single, others, tuple(at for at in places if at not in own))
+    at = [(node.speed, node.reference) for node in task.nodes()]
+    return TuningReport(*compared, others, tuple(place for place in at if place not in own))
+
+
+def hand_set_table(task: TuningTask) -> str:
+    """Return the name of the hand-set gains of formulation and settings."""
+    name = DEFAULT_TABLES[task.formulation]
+    own = f"{name}_{task.settings}"
+    return own if own in shipped("gains") else name
 
 
 def evaluate_tables(
@@ -215,21 +271,19 @@ def provenance(task: TuningTask, report: TuningReport, command: str) -> dict[str
 
     The fitness is in the order of the rows of the table, null where a node is not reachable.
     """
-    best = report.table if report.is_table else report.single
     at_nodes = iter(report.table.fitness)
     return {
         "command": command,
         **task.describe(),
         "fitness_unit": FITNESS[task.kind],
         "verdict": report.verdict,
-        "best_seed": int(best.name.split()[-1]),
+        "best_seed": int(report.written.name.split()[-1]),
+        "worse_than_hand_set": finite([report.loss(report.written)], 3)[0],
         "nodes_not_reached": [list(node) for node in report.not_reached],
         "node_fitness": finite(
             (next(at_nodes) if is_reachable(node) else math.inf for node in task.nodes()), 4
         ),
-        "geometric_mean": {
-            item.name: finite((item.at_nodes, item.between), 4) for item in report.candidates
-        },
+        "geometric_mean": {item.name: finite(means(item), 4) for item in report.candidates},
     }
 
 
@@ -243,7 +297,7 @@ def table_yaml(task: TuningTask, report: TuningReport, origin: dict[str, Any]) -
     """
     lines = [
         f"# Gains of the {task.formulation} formulation for vehicle {origin['vehicle']}, "
-        "found by particle swarm.",
+        f"found by method {task.method}.",
         f"# {report.verdict[0].upper()}{report.verdict[1:]}.",
         f"# Again: {origin['command']}",
     ]

@@ -1,7 +1,12 @@
-"""Execution of searches in threads, with checkpoints; workers evaluate the fitness."""
+"""Execution of searches in threads, with checkpoints; workers evaluate the fitness.
+
+A checkpoint holds the evaluations of a search. A resumed search begins anew and finds its first
+evaluations there, so every method resumes bit for bit.
+"""
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
@@ -14,18 +19,18 @@ import numpy as np
 from ampc_msgs_config.config import read_text
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
-from ampc_ros.pso.minimize import search as search_with_swarm
-from ampc_ros.pso.swarm import Swarm, swarm_from_json, swarm_to_json
 from launch_scripts.tuning.fitness import gains_of_row
-from launch_scripts.tuning.task import Search
+from launch_scripts.tuning.methods import BudgetSpent, Record, polish, run_method
+from launch_scripts.tuning.smoothness import jump_penalty
+from launch_scripts.tuning.task import FIELDS, LOGARITHMIC, Search, SearchSpace
 from launch_scripts.tuning.workers import Workers
 
 TASK = "task.json"
 MAX_CHECKPOINT_BYTES = 1_000_000_000
 """Largest size of a checkpoint."""
 RESUME = "all earlier checkpoints are intact, continue with --resume"
-SearchResult = tuple[Gains, float]
-"""Best gains and their fitness; infinite if every car left the road."""
+SearchResult = list[tuple[Gains, float]]
+"""Evaluated gains with their fitness, the best first; infinite if a car left the road."""
 
 
 class SearchStopped(Exception):
@@ -63,7 +68,7 @@ def write_atomically(file: Path, text: str, remedy: str = RESUME) -> None:
 
 
 class Checkpoints:
-    """Folder with the last generation of every search of one task."""
+    """Folder with the evaluations of every search of one task."""
 
     def __init__(self, folder: Path) -> None:
         """Use a folder, which need not exist yet."""
@@ -95,12 +100,14 @@ class Checkpoints:
                     f"now {new!r}"
                 )
 
-    def save(self, name: str, swarm: Swarm) -> None:
-        """Write the last generation of a search."""
-        write_atomically(self.folder / f"{name}.json", json.dumps(swarm_to_json(swarm)) + "\n")
+    def save(self, name: str, record: Record) -> None:
+        """Write the evaluations of a search."""
+        fitness = [value if math.isfinite(value) else None for value in record.fitness.tolist()]
+        content = {"positions": record.positions.tolist(), "fitness": fitness}
+        write_atomically(self.folder / f"{name}.json", json.dumps(content) + "\n")
 
-    def load(self, name: str) -> Swarm | None:
-        """Read the last generation of a search, None without a checkpoint.
+    def load(self, name: str) -> tuple[Array, Array] | None:
+        """Read positions (n, d) and fitness (n,) of a search, None without a checkpoint.
 
         Raises:
             ValueError: The file is not a checkpoint; names the file.
@@ -109,9 +116,13 @@ class Checkpoints:
         if saved is None:
             return None
         try:
-            return swarm_from_json(saved)
+            positions, fitness = np.array(saved["positions"], float), saved["fitness"]
+            values = np.array([math.inf if value is None else value for value in fitness], float)
+            if positions.ndim != 2 or len(positions) != len(values):
+                raise ValueError(f"shapes {positions.shape} and {values.shape} differ")
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{self.folder / name}.json: not a checkpoint: {error}") from error
+        return positions, values
 
     def clear(self) -> None:
         """Delete the checkpoints and their folder."""
@@ -136,39 +147,39 @@ def run_searches(
     searches: Sequence[Search],
     workers: Workers,
     checkpoints: Checkpoints,
-    show: Callable[[Search, Swarm], None],
+    show: Callable[[Search, Record], None],
 ) -> dict[str, SearchResult]:
     """Run searches, several at a time, and return their results by name.
 
     Args:
         searches: Each one starts from its checkpoint if there is one.
         workers: Evaluate the fitness.
-        checkpoints: Receive every generation before the next one starts.
-        show: Called after each generation, in any thread.
+        checkpoints: Receive every evaluation before the next one starts.
+        show: Called after evaluations, in any thread.
 
     Raises:
         ValueError: The workers are lost, or a checkpoint cannot be read or written.
     """
     stop = Event()
 
-    def parallel_map(cost: Callable[..., Any], positions: Array) -> Array:
-        parts = np.array_split(positions, min(workers.capacity, len(positions)))
-        tasks = [workers.executor.submit(cost, part) for part in parts]
-        return np.concatenate([task.result() for task in tasks])
-
     def run(item: Search) -> tuple[str, SearchResult]:
-        before, where = checkpoints.load(item.name), item.space.dimensions
-        options = item.settings, item.rng, parallel_map, before
-        for swarm in search_with_swarm(item.cost, where, *options):
-            if swarm is not before:
-                checkpoints.save(item.name, swarm)
-            show(item, swarm)
+        def cost(positions: Array) -> Array:
+            parts = np.array_split(positions, min(workers.capacity, len(positions)))
+            tasks = [workers.executor.submit(item.cost, part) for part in parts]
+            return np.concatenate([task.result() for task in tasks])
+
+        def save(record: Record) -> None:
+            if len(record.fitness) > len(known[1]):
+                checkpoints.save(item.name, record)
+            show(item, record)
             if stop.is_set():
                 raise SearchStopped
-        best = swarm.best_position[swarm.leader]
-        rounded = np.where([each.integer for each in where], np.rint(best), best)
-        gains = gains_of_row(item.space.gains_at(rounded[None])[0])
-        return item.name, (gains, float(swarm.best_fitness[swarm.leader]))
+
+        dimensions = item.space.dimensions
+        known = checkpoints.load(item.name) or (np.empty((0, len(dimensions))), np.empty(0))
+        sizes = item.evaluations, item.generation
+        record = Record(cost, dimensions, *sizes, known, save)
+        return item.name, result_of(run_search(item, record), item.space)
 
     with ThreadPoolExecutor(min(len(searches), workers.capacity + 1)) as drivers:
         tasks = [drivers.submit(run, item) for item in searches]
@@ -186,3 +197,37 @@ def run_searches(
         finally:
             stop.set()
     return dict(task.result() for task in tasks)
+
+
+def run_search(item: Search, record: Record) -> Record:
+    """Run the method of a search, or the polish of a node, and return the record."""
+    if item.neighbours is None:
+        return run_method(item.method, record, item.rng)
+    start, beside = item.neighbours
+
+    def adjusted(unit: Array, fitness: float) -> float:
+        gains = result_of(record, item.space, -1)[0][0]
+        return fitness * math.exp(sum(jump_penalty(gains, other) for other in beside))
+
+    with contextlib.suppress(BudgetSpent):
+        polish(record, unit_position(start, item.space), item.evaluations, adjusted)
+    return record
+
+
+def result_of(record: Record, space: SearchSpace, only: int | None = None) -> SearchResult:
+    """Return the evaluated gains with their fitness, the best first; or those of one index."""
+    chosen = np.argsort(record.fitness, kind="stable") if only is None else [only]
+    rows = space.gains_at(record.positions[chosen])
+    return [
+        (gains_of_row(row), float(record.fitness[i])) for row, i in zip(rows, chosen, strict=True)
+    ]
+
+
+def unit_position(gains: Gains, space: SearchSpace) -> Array:
+    """Return the position (d,) of gains in the unit cube of a search space."""
+    values = []
+    for item in space.dimensions:
+        value = float(getattr(gains, FIELDS[item.name]))
+        value = math.log10(value) if item.name in LOGARITHMIC else value
+        values.append((value - item.low) / (item.high - item.low))
+    return np.clip(values, 0.0, 1.0)

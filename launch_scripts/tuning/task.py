@@ -1,13 +1,13 @@
 """A tuning task: the gains to search, their bounds, the nodes of the table, and the searches.
 
-A task is read from the command line. It has one search for each node and seed, one for a single
-gain set that serves all nodes, and one random search for each node as a baseline.
+A task is read from the command line. For each seed it has one search for each node, and one for a
+single gain set that serves all nodes, with the same number of drives.
 """
 
 import argparse
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,27 +15,35 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ampc_msgs_config import __version__
-from ampc_msgs_config.config import find
+from ampc_msgs_config.config import find, load
+from ampc_msgs_config.parameters import ControllerSettings
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import check_range, number
 from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
-from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_space
+from ampc_ros.pso.swarm import Dimension, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
-from launch_scripts.tuning.fitness import Node, fitness
+from launch_scripts.tuning.fitness import REFERENCE_PERIOD, SETTINGS, Node, fitness
 from sim_vehicle.parameters import load_vehicle_file
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
 """Symbols of the paper, in the order of the fields of `Gains`."""
 FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
+SYMBOL_OF = {field: symbol for symbol, field in FIELDS.items()}
 LOGARITHMIC = ("Q", "R")
 """Gains that are searched in the logarithm: they span decades, and only Q/R matters."""
 GAIN_DIGITS = 6
 """Significant digits of a gain."""
 REACH = 2.0
 """Largest reachable lateral reference, divided by the speed [s]."""
-TABLE_SEARCH, SINGLE, RANDOM = "table", "single", "random"
-"""Purposes of a search: swarm for one node, swarm for all nodes, random samples for one node."""
+TABLE_SEARCH, SINGLE, POLISH = "table", "single", "polish"
+"""Purposes of a search: one node, all nodes with the same gains, one node near its neighbours."""
+BY_SPEED = "R/v^2"
+"""Bounds of R that grow with the square of the speed, as the effort in the fitness does."""
+LITERAL = "paper"
+"""Method that follows the paper literally: each node by itself, horizons included."""
+POLISH_SHARE = 1 / 3
+"""Share of a node's evaluations that are left for its polish."""
 Bounds = tuple[float, float]
 
 
@@ -43,8 +51,18 @@ class SearchSpace(NamedTuple):
     """Bounds of the gains that are searched, and the values of the others."""
 
     bounds: tuple[tuple[str, float, float], ...]
-    """Symbol, lower and upper bound."""
+    """Symbol, or BY_SPEED, lower and upper bound."""
     fixed: Gains
+
+    def at(self, speeds: Sequence[float]) -> "SearchSpace":
+        """Return the space at some speeds [m/s]: bounds by speed become those of R."""
+        low, high = min(speeds) ** 2, max(speeds) ** 2
+        ends = tuple(
+            ("R", a * low, b * high) if key == BY_SPEED
+            else (key, a, b)
+            for key, a, b in self.bounds
+        )  # fmt: skip
+        return self._replace(bounds=ends)
 
     @property
     def dimensions(self) -> list[Dimension]:
@@ -72,7 +90,7 @@ class SearchSpace(NamedTuple):
         return geometric_mean(np.array([fitness(node, gains) for node in nodes]))
 
 
-def geometric_mean(values: Array) -> Array:
+def geometric_mean(values: Array | Sequence[float]) -> Array:
     """Return the geometric mean over the first axis; infinite where one value is infinite."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(np.log(values).mean(axis=0)))
@@ -85,30 +103,44 @@ def search_space(bounds: Mapping[str, Bounds], fixed: Gains) -> SearchSpace:
         ValueError: Names symbol, value and bound.
     """
     for symbol in bounds:
-        if symbol not in SYMBOLS:
+        if symbol not in (*SYMBOLS, BY_SPEED):
             raise ValueError(f"unknown gain {symbol!r}; known are {', '.join(SYMBOLS)}")
-    for symbol, field in FIELDS.items():
+    for symbol, field in (*FIELDS.items(), (BY_SPEED, FIELDS["R"])):
         for end, value in zip(("low", "high"), bounds.get(symbol, ()), strict=False):
             check_range(f"bounds: {symbol}.{end}", value, BOUNDS[field])
-        check_range(f"fixed: {symbol}", getattr(fixed, field), BOUNDS[field])
+        check_range(f"fixed: {SYMBOL_OF[field]}", getattr(fixed, field), BOUNDS[field])
     ends = tuple((symbol, float(low), float(high)) for symbol, (low, high) in bounds.items())
     space = SearchSpace(ends, fixed)
     swarm_space([Dimension(*bound) for bound in space.bounds])
-    swarm_space(space.dimensions)
+    swarm_space(space.at((1.0,)).dimensions)
     return space
 
 
+class Neighbours(NamedTuple):
+    """Start of a polish, and the gains of the nodes beside it, which it shall resemble."""
+
+    start: Gains
+    beside: tuple[Gains, ...]
+
+
 class Search(NamedTuple):
-    """One run of the particle swarm."""
+    """One search."""
 
     purpose: str
-    """TABLE, SINGLE or RANDOM."""
+    """TABLE_SEARCH, SINGLE or POLISH."""
     seed: int
     number: int
     """Index of the node; for a single set the number of all nodes."""
     nodes: tuple[Node, ...]
     space: SearchSpace
-    settings: PsoSettings
+    method: str
+    """Key of METHODS."""
+    evaluations: int
+    """Largest number of gain sets that are evaluated."""
+    generation: int
+    """Number of gain sets in a generation of the method."""
+    neighbours: Neighbours | None = None
+    """Of a POLISH."""
 
     @property
     def name(self) -> str:
@@ -118,18 +150,17 @@ class Search(NamedTuple):
     @property
     def rng(self) -> np.random.Generator:
         """Random generator, independent of those of all other searches."""
-        key = [self.seed, self.number] + [1] * (self.purpose == RANDOM)
-        return np.random.default_rng(key)
+        return np.random.default_rng([self.seed, self.number])
 
     @property
     def cost(self) -> partial[Array]:
-        """Fitness (n,) as a function of particles (n, d); can be pickled."""
+        """Fitness (n,) as a function of positions (n, d); can be pickled."""
         return partial(self.space.mean_fitness, self.nodes)
 
     @property
     def drives(self) -> int:
-        """Number of nodes that are evaluated in a generation."""
-        return self.settings.particles * len(self.nodes)
+        """Number of gain sets times nodes that are evaluated at most."""
+        return self.evaluations * len(self.nodes)
 
 
 class TuningTask(NamedTuple):
@@ -146,11 +177,18 @@ class TuningTask(NamedTuple):
     references: tuple[float, ...]
     """Lateral references of the table [m]."""
     space: SearchSpace
-    settings: PsoSettings
+    method: str
+    """Key of METHODS."""
+    evaluations: int
+    """Number of gain sets that are evaluated at each node."""
+    generation: int
+    """Number of gain sets in a generation of the method."""
     seeds: tuple[int, ...]
+    settings: str = SETTINGS
+    """Shipped controller settings, or file."""
 
     def check(self) -> None:
-        """Check the axes of the table, the seeds, and that a node is reachable.
+        """Check the axes of the table, the seeds, the tuned gains, and that a node is reachable.
 
         Raises:
             ValueError: Names key, value and bound.
@@ -164,6 +202,12 @@ class TuningTask(NamedTuple):
                     raise ValueError(f"{key}[{i}] = {value:g} must be greater than {axis[i - 1]:g}")
         if self.kind != "paper" and self.references != (0.0,):
             raise ValueError(f"references = {list(self.references)} must be [0] for fitness robust")
+        whole = [symbol for symbol, _, _ in self.space.bounds if FIELDS.get(symbol) in INTEGERS]
+        if whole and self.method != LITERAL:
+            raise ValueError(
+                f"--tune {' '.join(whole)}: horizons and terms are equal at all nodes: choose them "
+                f"with --fix, or --method {LITERAL}"
+            )
         if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
             raise ValueError(f"seeds = {list(self.seeds)} must be different and not negative")
         if not any(map(is_reachable, self.nodes())):
@@ -173,7 +217,7 @@ class TuningTask(NamedTuple):
         """Return the nodes in the order of a gain table, at its speeds or at others [m/s]."""
         vehicle = load_vehicle_file(find("vehicles", self.vehicle))
         return [
-            Node(vehicle, self.formulation, self.kind, speed, reference)
+            Node(vehicle, self.formulation, self.kind, speed, reference, self.settings)
             for speed in (self.speeds if speeds is None else speeds)
             for reference in self.references
         ]
@@ -183,21 +227,43 @@ class TuningTask(NamedTuple):
         between = tuple((a + b) / 2 for a, b in zip(self.speeds, self.speeds[1:], strict=False))
         return [node for node in self.nodes(between) if is_reachable(node)]
 
+    @property
+    def is_smooth(self) -> bool:
+        """Whether neighbouring nodes are made similar: no method LITERAL, a single reference."""
+        return self.method != LITERAL and len(self.references) == 1 and len(self.speeds) > 1
+
     def searches(self) -> list[Search]:
-        """Return all searches, the largest first; each purpose drives the same number of cars."""
-        nodes, swarm = self.nodes(), self.settings
+        """Return the searches, the largest first; each purpose drives the same number of cars."""
+        nodes = self.nodes()
         reachable = [(i, (node,)) for i, node in enumerate(nodes) if is_reachable(node)]
         everywhere = [(len(nodes), tuple(node for _, (node,) in reachable))]
-        samples = PsoSettings(particles=swarm.particles * (swarm.generations + 1), generations=0)
+        left = round(POLISH_SHARE * self.evaluations) if self.is_smooth else 0
         return [
-            Search(purpose, seed, i, chosen, self.space, settings)
-            for purpose, group, settings in (
-                (SINGLE, everywhere, swarm),
-                (TABLE_SEARCH, reachable, swarm),
-                (RANDOM, reachable, samples),
+            self.search(purpose, seed, i, chosen, evaluations)
+            for purpose, group, evaluations in (
+                (SINGLE, everywhere, self.evaluations),
+                (TABLE_SEARCH, reachable, self.evaluations - left),
             )
             for seed in self.seeds
             for i, chosen in group
+        ]
+
+    def search(
+        self, purpose: str, seed: int, number: int, nodes: tuple[Node, ...], evaluations: int
+    ) -> Search:
+        """Return a search for the same gains at some nodes."""
+        space = self.space.at([node.speed for node in nodes])
+        method, generation = self.method, min(self.generation, evaluations)
+        return Search(purpose, seed, number, nodes, space, method, evaluations, generation)
+
+    def polishes(self, seed: int, gains: Sequence[Gains]) -> list[Search]:
+        """Return the searches that polish the gains of all nodes, in the order of the nodes."""
+        left = round(POLISH_SHARE * self.evaluations)
+        return [
+            self.search(POLISH, seed, i, (node,), left)._replace(
+                neighbours=Neighbours(gains[i], (*gains[max(i - 1, 0) : i], *gains[i + 1 : i + 2]))
+            )
+            for i, node in enumerate(self.nodes())
         ]
 
     def describe(self) -> dict[str, Any]:
@@ -216,9 +282,10 @@ class TuningTask(NamedTuple):
             "lateral_reference": list(self.references),
             "bounds": tuned,
             "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
-            "swarm": "proposed",
-            "particles": self.settings.particles,
-            "generations": self.settings.generations,
+            "settings": self.settings,
+            "method": self.method,
+            "evaluations": self.evaluations,
+            "generation": self.generation,
             "seeds": list(self.seeds),
         }
 
@@ -260,13 +327,21 @@ DEFAULT_BOUNDS: dict[str, dict[str, Bounds]] = {
         "N": (2, 8),
         "alpha": (0.0, 0.9),
         "Q": (0.1, 1000.0),
-        "R": (1.0, 1.0e5),
+        BY_SPEED: (0.05, 20.0),
     },
 }
-"""Bounds by formulation and symbol."""
-DEFAULT_TUNED = {"paper": ("N_p", "N_c", "alpha", "R"), "preview": ("alpha", "R")}
-"""Gains tuned by default. An alpha interpolated between two nodes does not suit the N of either;
-with the preview formulation the optima of the other gains vary randomly from node to node."""
+"""Bounds by formulation and symbol, at 10 Hz."""
+DEFAULT_TUNED = {"paper": ("alpha", "R"), "preview": ("alpha", "R")}
+"""Gains tuned by default. The horizons and the number of terms are equal at all nodes: an alpha
+interpolated between two nodes does not suit the N of either."""
+LITERAL_TUNED = ("N_p", "N_c", "alpha", "R")
+"""Gains of the formulation `paper` that its authors tune."""
+LITERAL_FIXED = Gains(45, 15, 3, 0.75, 10.0, 0.01)
+"""Gains that the authors do not tune: N and Q."""
+MAX_HORIZON = 100
+"""Longest prediction horizon that is chosen for settings with a shorter period [ticks]."""
+LOWEST_POLE = 0.03
+"""Lower bound of the pole of fast controllers, as that of the same decay in 0.1 s."""
 PRESETS = {
     "paper": TuningTask(
         vehicle="paper",
@@ -274,22 +349,28 @@ PRESETS = {
         kind="paper",
         speeds=tuple(np.round(np.linspace(3.0, 27.0, 11), 6).tolist()),
         references=(-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0),
-        space=SearchSpace((), Gains(45, 15, 3, 0.75, 10.0, 0.01)),
-        settings=PsoSettings(particles=20, generations=15),
+        space=SearchSpace((), Gains(25, 12, 3, 0.75, 10.0, 0.01)),
+        method="pso",
+        evaluations=96,
+        generation=10,
         seeds=(1, 2),
     ),
     "preview": TuningTask(
         vehicle="paper",
         formulation="preview",
         kind="robust",
-        speeds=(3.0, 5.0, 8.0, 11.0, 15.0, 20.0, 27.0, 33.0, 40.0),
+        speeds=(3.0, 4.0, 5.0, 6.5, 8.0, 11.0, 15.0, 20.0, 27.0, 40.0),
         references=(0.0,),
-        space=SearchSpace((), Gains(25, 20, 4, 0.3, 10.0, 100.0)),
-        settings=PsoSettings(particles=10, generations=8),
+        space=SearchSpace((), Gains(25, 20, 3, 0.75, 10.0, 100.0)),
+        method="pso",
+        evaluations=48,
+        generation=8,
         seeds=(1, 2),
     ),
 }
 """Default task of each formulation; its space holds the fixed gains."""
+PARTICLES, GENERATIONS = 20, 15
+"""Table 2 of the paper: defaults of the method LITERAL."""
 
 
 def read_task(chosen: argparse.Namespace) -> TuningTask:
@@ -301,35 +382,74 @@ def read_task(chosen: argparse.Namespace) -> TuningTask:
     preset = PRESETS[chosen.formulation]
     kind = chosen.fitness or preset.kind
     references = preset.references if kind == "paper" else (0.0,)
-    swarm = {key: getattr(chosen, key) for key in ("particles", "generations")}
-    for key, value in swarm.items():
-        swarm[key] = getattr(preset.settings, key) if value is None else value
+    evaluations, generation = read_budget(chosen, preset)
     task = preset._replace(
         vehicle=chosen.vehicle,
         kind=kind,
         speeds=preset.speeds if chosen.speeds is None else tuple(chosen.speeds),
         references=references if chosen.references is None else tuple(chosen.references),
-        space=read_space(chosen, preset.space.fixed._asdict()),
-        settings=PsoSettings(**swarm),
+        space=read_space(chosen, preset.space.fixed),
+        method=chosen.method,
+        evaluations=evaluations,
+        generation=generation,
         seeds=tuple(chosen.seeds),
+        settings=chosen.settings,
     )
     task.check()
     return task
 
 
-def read_space(chosen: argparse.Namespace, fixed: dict[str, Any]) -> SearchSpace:
+def read_budget(chosen: argparse.Namespace, preset: TuningTask) -> tuple[int, int]:
+    """Return the number of evaluations at a node and of gain sets in a generation.
+
+    Raises:
+        ValueError: An option does not suit the method, or is out of range.
+    """
+    sizes = {"particles": chosen.particles, "generations": chosen.generations}
+    if chosen.method != LITERAL:
+        for key, value in sizes.items():
+            if value is not None:
+                raise ValueError(
+                    f"--{key}: is an option of --method {LITERAL}, not {chosen.method}"
+                )
+        evaluations = preset.evaluations if chosen.evaluations is None else chosen.evaluations
+        check_range("evaluations", evaluations, number(12, 1_000_000))
+        return evaluations, preset.generation
+    if chosen.evaluations is not None:
+        raise ValueError(
+            f"--evaluations: is no option of --method {LITERAL}, which has --particles"
+        )
+    particles = PARTICLES if sizes["particles"] is None else sizes["particles"]
+    generations = GENERATIONS if sizes["generations"] is None else sizes["generations"]
+    check_range("particles", particles, number(2, 1_000_000))
+    check_range("generations", generations, number(1, 1_000_000))
+    return particles * (generations + 1), particles
+
+
+def read_space(chosen: argparse.Namespace, fixed_gains: Gains) -> SearchSpace:
     """Return the search space: `--tune`, `--bounds R=1:1e4` and `--fix N_p=25`.
 
     Raises:
         ValueError: Names the text that cannot be parsed, or the gain that is not tuned.
     """
-    tuned = chosen.tune or DEFAULT_TUNED[chosen.formulation]
-    bounds = {symbol: DEFAULT_BOUNDS[chosen.formulation][symbol] for symbol in tuned}
+    literal = chosen.method == LITERAL and chosen.formulation == "paper"
+    fixed = dict((LITERAL_FIXED if literal else fixed_gains)._asdict())
+    bounds_of = dict(DEFAULT_BOUNDS[chosen.formulation])
+    if chosen.formulation != "paper":
+        scale_to_period(chosen.settings, bounds_of, fixed)
+    tuned = chosen.tune or (LITERAL_TUNED if literal else DEFAULT_TUNED[chosen.formulation])
+    bounds = {
+        key: bounds_of[key]
+        for symbol in tuned
+        for key in [BY_SPEED if symbol == "R" and BY_SPEED in bounds_of else symbol]
+    }
     for text in chosen.bounds:
         symbol, _, ends = text.partition("=")
         low, _, high = ends.partition(":")
-        if symbol in SYMBOLS and symbol not in tuned:
+        if symbol in (*SYMBOLS, BY_SPEED) and symbol.removesuffix("/v^2") not in tuned:
             raise ValueError(f"--bounds {symbol}: is not among the tuned, {', '.join(tuned)}")
+        if symbol in ("R", BY_SPEED):  # one of them replaces the other
+            bounds = {key: ends for key, ends in bounds.items() if key not in ("R", BY_SPEED)}
         try:
             bounds[symbol] = (float(low), float(high))
         except ValueError as error:
@@ -344,3 +464,22 @@ def read_space(chosen: argparse.Namespace, fixed: dict[str, Any]) -> SearchSpace
         except ValueError as error:
             raise ValueError(f"--fix {text}: must look like {symbol}=25") from error
     return search_space(bounds, Gains(**fixed))
+
+
+def scale_to_period(settings: str, bounds: dict[str, Bounds], fixed: dict[str, Any]) -> None:
+    """Change bounds and fixed gains for 10 Hz to the period of other settings.
+
+    With k ticks in 0.1 s the same loop has a pole that is the k-th root, and an increment weight
+    k^2 times as large. The horizon spans the same time, up to MAX_HORIZON.
+    """
+    period = load(ControllerSettings, find("controllers", settings)).sample_time
+    k = REFERENCE_PERIOD / period
+    if k <= 1.0:
+        return
+    N_p = min(round(k * fixed["prediction_horizon"]), MAX_HORIZON)
+    fixed["control_horizon"] = round(fixed["control_horizon"] * N_p / fixed["prediction_horizon"])
+    fixed["prediction_horizon"] = N_p
+    low, high = bounds["alpha"]
+    bounds["alpha"] = (max(low, LOWEST_POLE) ** (1 / k), high ** (1 / k))
+    low, high = bounds[BY_SPEED]
+    bounds[BY_SPEED] = (low * k**2, high * k**2)

@@ -38,6 +38,19 @@ from launch_scripts.study.pso_methods import (
     shifted_sphere,
     sphere,
 )
+from launch_scripts.study.pso_tuning import (
+    BEST,
+    LONG,
+    TUNING_PROBLEMS,
+    TuningProblem,
+    best_curve,
+    tuning_bars,
+    tuning_results,
+    tuning_tables,
+)
+from launch_scripts.tune import build_parser
+from launch_scripts.tuning.methods import Record, run_method
+from launch_scripts.tuning.task import TABLE_SEARCH, read_task
 
 GAP = 0.062
 SMALL = BenchmarkProblem(sphere, 3)
@@ -67,7 +80,8 @@ def test_every_method_has_the_same_budget_and_stays_inside_the_bounds(method: st
 
     METHODS[method](watched, 3, np.random.default_rng(1))
     jumps = GENERATIONS if method == "Zhan's adaptive" else 0
-    assert BUDGET <= len(seen) <= BUDGET + jumps
+    least = 1 if method == "pso of the tuner" else BUDGET  # it ends where a polish converged
+    assert least <= len(seen) <= BUDGET + jumps
     assert np.all(np.abs(seen) <= BOUND)
 
 
@@ -165,3 +179,35 @@ def test_a_number_below_one_is_rejected(option: str, capsys: pytest.CaptureFixtu
     with pytest.raises(SystemExit):
         main([option, "0"])
     assert f"{option} 0 must be at least 1" in capsys.readouterr().err
+
+
+def tuning_example() -> dict[str, Any]:
+    """Return results in which `pso` is within 2 % after 40 evaluations, except for one seed."""
+    fall = np.linspace(2.0, 1.0, 51).tolist() + [1.0] * 39
+    curve = np.array([fall, fall, [*fall[:50], *[1.2] * 40]])
+    by_method = {"pso": curve, "random": 2.0 * curve, BEST: np.full((1, LONG), 1.0)}
+    return tuning_results({problem.name: by_method for problem in TUNING_PROBLEMS})
+
+
+def test_a_search_of_the_tuner_is_judged_by_its_worst_seed_and_its_median_evaluations() -> None:
+    results = tuning_example()
+    found = results["paper car, 11 m/s"]["methods"]
+    assert found["pso"]["worst"]["90"] == pytest.approx(1.2)
+    assert found["pso"]["median"]["90"] == pytest.approx(1.0)
+    assert found["pso"]["evaluations"] == 50.0
+    assert found["random"]["evaluations"] is None
+    assert not any(tuning_bars(results).values())
+    lines = tuning_tables(results, 3)
+    assert any(line.startswith("| paper car, 11 m/s | pso |") for line in lines)
+    assert any(line.endswith("| > 90 |") for line in lines)
+
+
+@pytest.mark.parametrize("problem", TUNING_PROBLEMS, ids=lambda problem: problem.name)
+def test_a_curve_of_the_tuner_is_the_fitness_of_its_best_gains(problem: TuningProblem) -> None:
+    curve = best_curve(problem, "random", 1, 12)
+    assert curve.shape == (12,)
+    assert np.all(np.diff(curve) <= 0.0)
+    task = read_task(build_parser().parse_args(problem.options))
+    search = task.search(TABLE_SEARCH, 1, 0, tuple(task.nodes()), 12)
+    record = run_method("random", Record(search.cost, search.space.dimensions, 12), search.rng)
+    assert curve[-1] == record.best[1]

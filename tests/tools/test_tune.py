@@ -17,18 +17,18 @@ import pytest
 
 from ampc_msgs_config import config
 from ampc_ros.mpc.gain_table import gain_table, load_gain_table
-from ampc_ros.pso.swarm import Swarm
 from launch_scripts.certify import certify_parser
 from launch_scripts.tune import build_parser, main
 from launch_scripts.tuning.fitness import fitness
-from launch_scripts.tuning.report import NO_SINGLE, Candidate, TuningReport
+from launch_scripts.tuning.methods import Record
+from launch_scripts.tuning.report import Candidate, TuningReport
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
 from launch_scripts.tuning.task import Search, read_task
 from launch_scripts.tuning.workers import Workers, open_workers
 from tests.waiting import TIMEOUT
 
 SMALL = ["--formulation", "paper", "--speeds", "3", "9", "--references", "5", "10"]
-SMALL += ["--particles", "4", "--seeds", "1"]
+SMALL += ["--seeds", "1"]
 
 
 def tuned(output: Path, *words: str) -> tuple[str, Any]:
@@ -40,7 +40,7 @@ def tuned(output: Path, *words: str) -> tuple[str, Any]:
 def test_the_last_line_is_the_command_that_certifies_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tuned(tmp_path / "a.yaml", "--generations", "1")
+    tuned(tmp_path / "a.yaml", "--evaluations", "12")
     last = capsys.readouterr().out.splitlines()[-1]
     command = f"python launch_scripts/certify.py --vehicle paper --gain-table {tmp_path}/a.yaml"
     assert last == f"certify it: {command} --controller paper"
@@ -51,7 +51,7 @@ def test_the_last_line_is_the_command_that_certifies_the_table(
 def test_a_tuned_table_can_be_loaded_marks_unreached_nodes_and_has_its_provenance(
     tmp_path: Path,
 ) -> None:
-    text, proof = tuned(tmp_path / "a.yaml", "--generations", "3")
+    text, proof = tuned(tmp_path / "a.yaml", "--evaluations", "16")
     content = config.read(tmp_path / "a.yaml")
     provenance = content["provenance"]
     assert provenance["nodes_not_reached"] == [[3.0, 10.0]]
@@ -60,15 +60,15 @@ def test_a_tuned_table_can_be_loaded_marks_unreached_nodes_and_has_its_provenanc
     assert len(gain_table(content).nodes) in (2, 4)
     assert ("NOT REACHED" in text) == (len(gain_table(content).nodes) == 4)
     assert proof["verdict"] in provenance["verdict"]
-    assert {"table, seed 1", "random, seed 1", "shipped table3"} < set(proof["candidates"])
+    assert {"table, seed 1", "single, seed 1", "shipped table3"} == set(proof["candidates"])
     assert not (tmp_path / "a.checkpoint").exists()
 
 
 def test_the_reported_fitness_is_that_of_the_written_gains(
     tmp_path: Path,
 ) -> None:
-    _, proof = tuned(tmp_path / "a.yaml", "--generations", "2")
-    task = read_task(build_parser().parse_args([*SMALL, "--generations", "2"]))
+    _, proof = tuned(tmp_path / "a.yaml", "--evaluations", "12")
+    task = read_task(build_parser().parse_args([*SMALL, "--evaluations", "12"]))
     written = load_gain_table(str(tmp_path / "a.yaml"))
     kind = "table, seed 1" if proof["verdict"].endswith("table written") else "single, seed 1"
     reported = proof["candidates"][kind]["fitness"]
@@ -77,20 +77,31 @@ def test_the_reported_fitness_is_that_of_the_written_gains(
     assert own == reported
 
 
-def test_a_search_that_was_killed_resumes_to_the_same_table_bit_for_bit(tmp_path: Path) -> None:
-    whole = tuned(tmp_path / "whole.yaml", "--generations", "30")
-    words = [*SMALL, "--generations", "30", "--output", str(tmp_path / "cut.yaml")]
+SIZES = {
+    "pso": ["--evaluations", "60"],
+    "de": ["--method", "de", "--evaluations", "60"],
+    "paper": ["--method", "paper", "--particles", "4", "--generations", "14"],
+}
+
+
+@pytest.mark.parametrize("method", SIZES)
+def test_a_search_that_was_killed_resumes_to_the_same_table_bit_for_bit(
+    method: str, tmp_path: Path
+) -> None:
+    sizes = SIZES[method]
+    whole = tuned(tmp_path / "whole.yaml", *sizes)
+    words = [*SMALL, *sizes, "--output", str(tmp_path / "cut.yaml")]
     command = [sys.executable, "-m", "launch_scripts.tune", *words, "--workers", "1"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    seen = wait_for(lambda: generations(tmp_path / "cut.checkpoint") > 3)
+    seen = wait_for(lambda: evaluations(tmp_path / "cut.checkpoint") > 3)
     process.kill()
     assert process.wait() == -signal.SIGKILL
     assert seen
     assert not (tmp_path / "cut.yaml").exists()
-    before = generations(tmp_path / "cut.checkpoint")
+    before = evaluations(tmp_path / "cut.checkpoint")
     assert main([*words[:-1], str(tmp_path / "cut.yaml")]) == 2  # the checkpoints are kept
-    assert generations(tmp_path / "cut.checkpoint") == before
-    assert tuned(tmp_path / "cut.yaml", "--generations", "30", "--resume") == whole
+    assert evaluations(tmp_path / "cut.checkpoint") == before
+    assert tuned(tmp_path / "cut.yaml", *sizes, "--resume") == whole
 
 
 def wait_for(condition: Callable[[], bool], patience: float = TIMEOUT) -> bool:
@@ -103,16 +114,16 @@ def wait_for(condition: Callable[[], bool], patience: float = TIMEOUT) -> bool:
     return False
 
 
-def generations(folder: Path) -> int:
-    """Return the number of all generations in a folder of checkpoints."""
+def evaluations(folder: Path) -> int:
+    """Return the number of all evaluations in a folder of checkpoints."""
     files = [f for f in folder.glob("*.json") if f.name != "task.json"]
-    return sum(json.loads(f.read_text())["generation"] + 1 for f in files)
+    return sum(len(json.loads(f.read_text())["fitness"]) for f in files)
 
 
 def test_a_disk_that_fills_up_loses_no_checkpoint_and_gives_one_error_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = tuned(tmp_path / "whole.yaml", "--generations", "4")
+    whole = tuned(tmp_path / "whole.yaml", "--evaluations", "20")
     capsys.readouterr()
     room, real = [8], os.fsync
 
@@ -122,7 +133,7 @@ def test_a_disk_that_fills_up_loses_no_checkpoint_and_gives_one_error_line(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         real(number)
 
-    words = [*SMALL, "--generations", "4", "--output", str(tmp_path / "cut.yaml")]
+    words = [*SMALL, "--evaluations", "20", "--output", str(tmp_path / "cut.yaml")]
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fills_up)
         assert main(words) == 2
@@ -131,18 +142,18 @@ def test_a_disk_that_fills_up_loses_no_checkpoint_and_gives_one_error_line(
     assert "cut" in said
     assert "No space left on device" in said
     assert "--resume" in said
-    assert generations(tmp_path / "cut.checkpoint") > 0
-    assert tuned(tmp_path / "cut.yaml", "--generations", "4", "--resume") == whole
+    assert evaluations(tmp_path / "cut.checkpoint") > 0
+    assert tuned(tmp_path / "cut.yaml", "--evaluations", "20", "--resume") == whole
 
 
-def searched(workers: Workers, folder: Path, show: Callable[[Search, Swarm], None]) -> Any:
+def searched(workers: Workers, folder: Path, show: Callable[[Search, Record], None]) -> Any:
     """Run the searches of a small task."""
-    task = read_task(build_parser().parse_args([*SMALL, "--generations", "6"]))
+    task = read_task(build_parser().parse_args([*SMALL, "--evaluations", "24"]))
     checkpoints = Checkpoints(folder)
     return run_searches(task.searches(), workers, checkpoints, show)
 
 
-def ignore(search: Search, swarm: Swarm) -> None:
+def ignore(search: Search, record: Record) -> None:
     """Ignore the progress."""
 
 
@@ -175,8 +186,8 @@ def test_a_cluster_whose_worker_is_killed_finds_the_same_bit_for_bit(
         assert len(set(client.run(source_hash).values())) == 1
         seen: list[int] = []
 
-        def kill_one(search: Search, swarm: Swarm) -> None:
-            seen.append(swarm.generation)
+        def kill_one(search: Search, record: Record) -> None:
+            seen.append(len(record.fitness))
             if len(seen) == 8:
                 os.kill(pids[0], signal.SIGKILL)
 
@@ -191,44 +202,63 @@ def test_lost_workers_give_one_error_line(tmp_path: Path) -> None:
     with open_workers(1, processes=True) as workers:
         pid = workers.executor.submit(os.getpid).result()
 
-        def kill(search: Search, swarm: Swarm) -> None:
+        def kill(search: Search, record: Record) -> None:
             os.kill(pid, signal.SIGKILL)
             time.sleep(0.2)
 
         with pytest.raises(ValueError, match=r"workers: lost .*--resume"):
             searched(workers, tmp_path, kill)
-    assert generations(tmp_path) > 0
+    assert evaluations(tmp_path) > 0
 
 
-@pytest.mark.parametrize(("table", "single", "is_table"), [(0.899, 1.0, True), (0.901, 1.0, False)])
-def test_a_table_has_to_beat_the_single_set_by_a_tenth(
-    table: float, single: float, is_table: bool
-) -> None:
+def judged(table: list[float], single: list[float], hand_set: list[float]) -> TuningReport:
+    """Return a report with these values at one node and half-way to the next ones."""
     grid = load_gain_table("table3")
-    two = (Candidate(name, grid, (x,), (x,)) for name, x in (("t", table), ("s", single)))
-    report = TuningReport(next(two), next(two), (), ())
+    names = "table, seed 1", "single, seed 1", "shipped table3"
+    ours, one, reference = (
+        Candidate(name, grid, (1.0,), tuple(values[:1]), tuple(values[1:]))
+        for name, values in zip(names, (table, single, hand_set), strict=True)
+    )
+    return TuningReport(ours, one, reference, (), ())
+
+
+@pytest.mark.parametrize(("table", "is_table"), [(0.899, True), (0.901, False)])
+def test_a_table_has_to_beat_the_single_set_by_a_tenth_between_its_nodes(
+    table: float, is_table: bool
+) -> None:
+    report = judged([0.1, table, table], [9.0, 1.0, 1.0], [9.0, 9.0, 9.0])
+    assert report.saving == pytest.approx(1.0 - table)
     assert report.is_table == is_table
     assert report.verdict.endswith("table written") == is_table
+    assert report.written == (report.table if is_table else report.single)
+
+
+def test_the_nodes_do_not_count_for_the_saving() -> None:
+    assert not judged([0.01, 1.0], [1.0, 1.0], [9.0, 9.0]).is_table
+
+
+@pytest.mark.parametrize(("node", "between", "is_table"), [(1.019, 0.5, True), (1.021, 0.5, False),
+                                                          (0.5, 1.021, False)])  # fmt: skip
+def test_a_table_may_be_worse_than_the_hand_set_gains_by_two_percent_at_any_speed(
+    node: float, between: float, is_table: bool
+) -> None:
+    report = judged([node, between], [9.0, 9.0], [1.0, 1.0])
+    assert report.is_table == is_table
+    if not is_table:
+        assert report.verdict.startswith("at one speed the table is worse than the hand-set gains")
 
 
 def test_where_no_single_set_comes_through_the_table_is_written() -> None:
-    grid = load_gain_table("table3")
-    none = Candidate(NO_SINGLE, grid, (np.inf,), (np.inf,))
-    report = TuningReport(Candidate("t", grid, (0.1,), (0.1,)), none, (), ())
+    report = judged([0.1, 0.1], [np.inf, np.inf], [9.0, 9.0])
     assert report.is_table
     assert report.verdict == "no single gain set brings every car through: table written"
 
 
-def test_a_table_that_is_worse_between_its_nodes_is_not_written() -> None:
-    grid = load_gain_table("table3")
-    table, single = Candidate("t", grid, (0.1,), (1.01,)), Candidate("s", grid, (9.0,), (1.0,))
-    report = TuningReport(table, single, (), ())
-    assert report.advantage > 0.1
-    assert not report.is_table
-    assert report.verdict.startswith("between its nodes the table is worse")
-
-
 def test_a_table_that_loses_a_car_between_its_nodes_is_not_written() -> None:
-    grid = load_gain_table("table3")
-    lost = Candidate("t", grid, (0.1,), (np.inf,))
-    assert not TuningReport(lost, Candidate("s", grid, (9.0,), (9.0,)), (), ()).is_table
+    report = judged([0.1, np.inf], [9.0, 9.0], [9.0, 9.0])
+    assert not report.is_table
+    assert report.verdict.endswith("single gain set written")
+
+
+def test_speeds_at_which_the_hand_set_gains_lose_a_car_are_not_compared() -> None:
+    assert judged([5.0, 0.5], [9.0, 9.0], [np.inf, 1.0]).is_table

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ampc_ros.pso.minimize import minimize
-from ampc_ros.pso.swarm import PsoSettings, Swarm, swarm_to_json
+from ampc_msgs_config.types import Array
 from launch_scripts.tune import build_parser, command_of, main
+from launch_scripts.tuning.methods import Record
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
     DEFAULT_BOUNDS,
@@ -30,12 +30,13 @@ def task(*words: str):  # type: ignore[no-untyped-def]
     return read_task(build_parser().parse_args(words))
 
 
-def swarm() -> Swarm:
-    """Return a swarm with particles whose fitness is infinite."""
+def record() -> Record:
+    """Return the evaluations of a search in which some cars are lost."""
     where = search_space({"R": (1.0, 100.0)}, FIXED).dimensions
-    settings = PsoSettings(particles=3, generations=2)
-    cost = lambda x: float(x[0]) if x[0] < 1.0 else np.inf  # noqa: E731
-    return minimize(cost, where, settings, np.random.default_rng(1)).swarm
+    result = Record(lambda x: np.where(x[:, 0] < 1.0, x[:, 0] / 3.0, np.inf), where, 9)
+    unit: Array = np.array([[k / 10.0] for k in range(1, 9)])
+    result(unit)
+    return result
 
 
 def test_weights_are_searched_in_the_logarithm() -> None:
@@ -52,14 +53,43 @@ def test_control_horizon_and_terms_stay_within_the_prediction_horizon() -> None:
     np.testing.assert_array_equal(rows[:, :3], [[4, 4, 4], [50, 3, 2]])
 
 
-def test_table_single_set_and_random_search_drive_the_same_number_of_cars() -> None:
-    some = task("--speeds", "5", "9", "15", "--seeds", "3")
+@pytest.mark.parametrize("method", ["pso", "paper", "de"])
+def test_table_and_single_set_drive_the_same_number_of_cars(method: str) -> None:
+    some = task("--speeds", "5", "9", "15", "--seeds", "3", "--method", method)
     cost: dict[str, int] = {}
-    for job in some.searches():
-        drives = job.settings.particles * (job.settings.generations + 1) * len(job.nodes)
-        cost[job.purpose] = cost.get(job.purpose, 0) + drives
+    searches = some.searches()
+    searches += some.polishes(3, [FIXED] * 3) if some.is_smooth else []
+    for job in searches:
+        purpose = "single" if job.purpose == "single" else "table"
+        cost[purpose] = cost.get(purpose, 0) + job.drives
     assert len(set(cost.values())) == 1
-    assert set(cost) == {"table", "single", "random"}
+    assert set(cost) == {"table", "single"}
+
+
+@pytest.mark.parametrize("speed", [3.0, 7.0, 40.0])
+def test_bounds_of_the_increment_weight_grow_with_the_square_of_the_speed(speed: float) -> None:
+    space = task("--bounds", "R/v^2=0.5:4").space.at([speed])
+    assert space.bounds == (("alpha", 0.0, 0.9), ("R", 0.5 * speed**2, 4.0 * speed**2))
+    both = task().space.at([speed, 2.0 * speed]).bounds[1]
+    assert both == ("R", pytest.approx(0.05 * speed**2), pytest.approx(20.0 * 4.0 * speed**2))
+    assert task("--bounds", "R=3:5").space.at([speed]).bounds[1] == ("R", 3.0, 5.0)
+
+
+@pytest.mark.parametrize(("settings", "ticks"), [("50hz", 5), ("100hz", 10)])
+def test_bounds_follow_the_period_of_the_settings(settings: str, ticks: int) -> None:
+    slow, fast = task().space, task("--settings", settings).space
+    assert fast.bounds[0][2] == pytest.approx(0.9 ** (1 / ticks))
+    assert fast.bounds[1][1:] == pytest.approx([x * ticks**2 for x in slow.bounds[1][1:]])
+    assert fast.fixed.prediction_horizon == 100
+    assert fast.fixed.control_horizon == 80
+    assert fast.fixed.laguerre_terms == slow.fixed.laguerre_terms
+
+
+def test_the_literal_method_tunes_what_the_authors_tune() -> None:
+    literal = task("--formulation", "paper", "--method", "paper")
+    assert [symbol for symbol, _, _ in literal.space.bounds] == ["N_p", "N_c", "alpha", "R"]
+    assert (literal.evaluations, literal.generation) == (20 * 16, 20)
+    assert not literal.is_smooth
 
 
 def test_references_beyond_two_seconds_of_speed_are_not_searched() -> None:
@@ -104,7 +134,7 @@ def test_a_task_describes_itself_in_json() -> None:
     assert json.loads(json.dumps(described)) == described
     assert described["bounds"]["alpha"] == [0.75, 0.99]
     assert "output_weight" not in described
-    assert described["fixed"] == {"N": 3, "Q": 10.0}
+    assert described["fixed"] == {"N_p": 25, "N_c": 12, "N": 3, "Q": 10.0}
 
 
 WRONG = {
@@ -117,8 +147,16 @@ WRONG = {
     "--bounds R=5:1": "bounds: R.low = 5.0 must be below R.high = 1.0",
     "--bounds R=1:nan": "bounds: R.high = nan must lie in",
     "--bounds R=0:1": "bounds: R.low = 0.0 must lie in [1e-09, 1e+09]",
+    "--bounds R/v^2=0:1": "bounds: R/v^2.low = 0.0 must lie in [1e-09, 1e+09]",
+    "--tune alpha --bounds R/v^2=1:2": "--bounds R/v^2: is not among the tuned, alpha",
+    "--tune N_p R": "--tune N_p: horizons and terms are equal at all nodes",
+    "--particles 5": "--particles: is an option of --method paper, not pso",
+    "--method de --generations 5": "--generations: is an option of --method paper, not de",
+    "--method paper --evaluations 50": "--evaluations: is no option of --method paper",
+    "--evaluations 3": "evaluations = 3 must lie in [12, 1e+06]",
+    "--settings 30hz": "'30hz' is neither a file nor one of the shipped controllers",
     "--bounds alpha=0:1": "bounds: alpha.high = 1.0 must lie in [0, 0.999]",
-    "--tune N_p --bounds N_p=1:2.5": "bounds: N_p.high = 2.5 must be a whole number",
+    "--tune N_p --method paper --bounds N_p=1:2.5": "bounds: N_p.high = 2.5 must be a whole number",
     "--bounds R=5": "--bounds R=5: must look like R=1:1e4",
     "--bounds Z=1:2": "unknown gain 'Z'; known are N_p, N_c, N, alpha, Q, R",
     "--bounds Q=1:2": "--bounds Q: is not among the tuned, alpha, R",
@@ -126,7 +164,7 @@ WRONG = {
     "--fix N_p=a": "--fix N_p=a: must look like N_p=25",
     "--fix N_p=0": "fixed: N_p = 0 must lie in [1, 200]",
     "--seeds 1 1": "seeds = [1, 1] must be different",
-    "--particles 1": "particles = 1 must lie in [2, 1e+06]",
+    "--method paper --particles 1": "particles = 1 must lie in [2, 1e+06]",
     "--workers 0": "--workers 0: must be at least 1",
     "--vehicle nowhere.yaml": "'nowhere.yaml' is neither a file nor one of the shipped vehicles",
     "--resume --output nowhere/a.yaml": "nowhere/a.checkpoint: nothing to resume",
@@ -162,13 +200,15 @@ def test_a_wrong_vehicle_file_is_named_with_key_value_and_bound(
     assert f"{file}: chassis.mass = -1.0 must lie in [1, 100000] kg" in said
 
 
-def test_a_checkpoint_gives_back_the_swarm_bit_for_bit(tmp_path: Path) -> None:
-    kept = Checkpoints(tmp_path / "c")
+def test_a_checkpoint_gives_back_the_evaluations_bit_for_bit(tmp_path: Path) -> None:
+    kept, written = Checkpoints(tmp_path / "c"), record()
     kept.begin({"a": 1}, False)
-    kept.save("x", swarm())
+    kept.save("x", written)
     loaded = kept.load("x")
     assert loaded is not None
-    assert json.dumps(swarm_to_json(loaded)) == json.dumps(swarm_to_json(swarm()))
+    assert np.isinf(written.fitness).any()
+    np.testing.assert_array_equal(loaded[0], written.positions)
+    np.testing.assert_array_equal(loaded[1], written.fitness)
     assert kept.load("y") is None
 
 
@@ -192,6 +232,8 @@ def test_a_file_that_is_not_a_checkpoint_is_named(tmp_path: Path) -> None:
         ("[" * 10**6, "cannot be read"),
         ("[]", "must hold"),
         ("{}", "not a checkpoint"),
+        ('{"positions": [[1]], "fitness": [1, 2]}', "not a checkpoint"),
+        ('{"positions": [["a"]], "fitness": [1]}', "not a checkpoint"),
     ):
         (kept.folder / "x.json").write_text(text)
         with pytest.raises(ValueError, match=f"x.json: {cause}"):
@@ -219,6 +261,7 @@ def test_a_full_disk_keeps_the_previous_content(
 def test_presets_are_valid_tasks() -> None:
     for name in PRESETS:
         chosen = task("--formulation", name)
-        assert {symbol for symbol, _, _ in chosen.space.bounds} == set(DEFAULT_TUNED[name])
-        assert set(DEFAULT_BOUNDS[name]) == set(SYMBOLS)
+        tuned = {symbol.removesuffix("/v^2") for symbol, _, _ in chosen.space.bounds}
+        assert tuned == set(DEFAULT_TUNED[name])
+        assert {key.removesuffix("/v^2") for key in DEFAULT_BOUNDS[name]} == set(SYMBOLS)
         assert chosen == PRESETS[name]._replace(space=chosen.space)

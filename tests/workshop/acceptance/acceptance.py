@@ -7,7 +7,7 @@ code 0: the preview formulation meets every threshold; 1: it does not.
 import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
@@ -19,12 +19,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from ampc_msgs_config.config import find
+from ampc_ros.mpc.gain_table import load_gain_table
 from tests.workshop.acceptance import real_paths, real_states
 from tests.workshop.acceptance.acceptance_figure import draw_comparison
 from tests.workshop.acceptance.cases import BOTH, Case, Measured, Threshold, all_cases
 from tests.workshop.acceptance.loop_margins import loop_table
 from tests.workshop.acceptance.road_data import DATA, IS_RECORDED
-from tests.workshop.acceptance.trials import QUANTITIES
+from tests.workshop.acceptance.trials import OTHER_TABLES, QUANTITIES
 
 SECTIONS = (
     (real_paths.SECTION, partial(real_paths.tasks, 0)),
@@ -76,7 +78,32 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--workers", type=int, default=2, help="number of processes; default: %(default)s"
     )
-    return parser.parse_args(arguments)
+    parser.add_argument(
+        "--gain-table",
+        nargs="+",
+        default=[],
+        metavar="CAR=TABLE",
+        help="gains of `preview` instead of the shipped ones, by vehicle",
+    )
+    chosen = parser.parse_args(arguments)
+    for text in chosen.gain_table:
+        car, _, name = text.partition("=")
+        try:
+            load_gain_table(name)
+            find("vehicles", car)
+        except ValueError as error:
+            parser.error(f"--gain-table {text}: must look like ordinary=FILE: {error}")
+    return chosen
+
+
+def other_tables(words: Sequence[str]) -> dict[str, str]:
+    """Return the gain tables by vehicle of the option `--gain-table`."""
+    return {car: name for car, _, name in (text.partition("=") for text in words)}
+
+
+def use_tables(tables: Mapping[str, str]) -> None:
+    """Use other gain tables than the shipped ones in this process."""
+    OTHER_TABLES.update(tables)
 
 
 def measure_case(case: Case, controller: str) -> Measured:
@@ -87,10 +114,12 @@ def measure_case(case: Case, controller: str) -> Measured:
         return {}
 
 
-def measure_all(cases: Sequence[Case], workers: int, progress: Progress) -> Measurements:
-    """Measure all cases in parallel."""
+def measure_all(
+    cases: Sequence[Case], workers: int, progress: Progress, tables: Mapping[str, str]
+) -> Measurements:
+    """Measure all cases in parallel, with other gain tables by vehicle than the shipped ones."""
     measurements: Measurements = {}
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, initializer=use_tables, initargs=(tables,)) as pool:
         tasks = {
             pool.submit(measure_case, case, name): (number, name)
             for number, case in enumerate(cases)
@@ -167,7 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(f"note: the roads from files are the generated ones in {DATA}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        measurements = measure_all(cases, chosen.workers, progress)
+        measurements = measure_all(cases, chosen.workers, progress, other_tables(chosen.gain_table))
         sections = [
             (section, section.measure(tasks(), chosen.workers, progress))
             for section, tasks in SECTIONS

@@ -67,12 +67,18 @@ class Trial(NamedTuple):
     """Side force [N] and yaw moment [N m] on the independent plant."""
 
 
+OTHER_TABLES: dict[str, str] = {}
+"""Gain tables of `preview` by vehicle that replace the shipped ones, see `--gain-table`."""
+
+
 def shipped_controller(
     name: str, car: str, chassis: ChassisParameters, steering: SteeringParameters
 ) -> PreviewMpc | LateralMpc:
     """Build the controller `preview` or `paper` with the gains shipped for a car."""
     settings = load(ControllerSettings, find("controllers", "table3"))
-    table = load_gain_table(default_table(name, car))
+    shipped_name = default_table(name, car)
+    own = OTHER_TABLES.get(car, shipped_name) if name == "preview" else shipped_name
+    table = load_gain_table(own)
     if name == "preview":
         return PreviewMpc(chassis, steering, settings, table)
     return LateralMpc(chassis, settings, table)
