@@ -12,8 +12,6 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
-from ampc_ros.pso.minimize import map_vectorized, minimize
-from ampc_ros.pso.swarm import PsoSettings
 from launch_scripts.study.drives import (
     Switches,
     controller_settings,
@@ -25,6 +23,7 @@ from launch_scripts.tuning.drives import Plant, lane_change, simulated_car
 from launch_scripts.tuning.fitness import gains_of_row, repeat_for_gain_sets
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
 from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare_fleet, run_fleet
+from launch_scripts.tuning.methods import Record, run_method
 from launch_scripts.tuning.task import Bounds, geometric_mean, search_space
 
 CLAIM_PLANTS = (
@@ -64,8 +63,8 @@ class ClaimPlan(NamedTuple):
 
     nodes: tuple[float, ...] = tuple(np.linspace(3.0, 27.0, 11).round(1).tolist())
     """Speeds of the table [m/s]; the speeds half-way are driven, too."""
-    swarm: PsoSettings = PsoSettings(particles=8, generations=6)
-    """Swarm of each node, and of the single set on all nodes."""
+    evaluations: int = 56
+    """Evaluations of the search at each node, and of the single set on all nodes."""
     noise_seeds: int = 4
     """Repetitions of the drive with noise in a search; their mean error counts."""
     pole_change: float = 0.15
@@ -133,7 +132,7 @@ def measure_claim(plan: ClaimPlan, step: Callable[[], None]) -> dict[str, Any]:
         },
         "search": {
             "fitness_m2": {"single": single.fitness, "table": [row.fitness for row in table]},
-            "evaluations_per_node": plan.swarm.particles * (plan.swarm.generations + 1),
+            "evaluations_per_node": plan.evaluations,
             "seed": plan.seed,
         },
     }
@@ -162,10 +161,10 @@ def search_claim_gains(
             return geometric_mean(np.array([claim_cost(node, gains) for node in chosen]))
 
         space = search_space({"alpha": poles, "R": INCREMENT_WEIGHT_BOUNDS}, CLAIM_GAINS)
-        rng = np.random.default_rng([plan.seed, key])
-        best = minimize(cost, space.dimensions, plan.swarm, rng, map_vectorized)
+        record = Record(cost, space.dimensions, plan.evaluations)
+        position, fitness = run_method("pso", record, np.random.default_rng([plan.seed, key])).best
         step()
-        return FoundGains(gains_of_row(space.gains_at(best.position[None])[0]), best.fitness)
+        return FoundGains(gains_of_row(space.gains_at(position[None])[0]), fitness)
 
     single, table, poles = (
         best_gains(nodes, len(nodes), POLE_BOUNDS),

@@ -9,7 +9,6 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import errors
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
-from ampc_ros.pso.swarm import PsoSettings
 from launch_scripts.study.claim_by_speed import claim_tables, main
 from launch_scripts.study.speed_sweep import (
     CLAIM_GAINS,
@@ -32,7 +31,7 @@ from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 TABLE3 = load_gain_table("table3").nodes[0]
-SMALL = ClaimPlan((4.0, 9.0), PsoSettings(particles=3, generations=1), noise_seeds=1)
+SMALL = ClaimPlan((4.0, 9.0), evaluations=6, noise_seeds=1)
 NOISE = [plant.name for plant in CLAIM_PLANTS].index("noise")
 
 
