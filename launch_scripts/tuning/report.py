@@ -94,7 +94,9 @@ class TuningReport(NamedTuple):
             return "no single gain set brings every car through: " + (
                 "table written" if self.is_table else "single gain set written"
             )
-        saved = f"{self.saving:.0%}"
+        if math.isinf(self.saving):
+            return "the table loses a car on held-out plants: single gain set written"
+        saved = f"{round(100 * self.saving)}%"
         if self.is_table:
             better = "the table beats the best single gain set"
             return f"{better} by {saved} on held-out plants: table written"
