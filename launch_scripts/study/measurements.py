@@ -14,7 +14,7 @@ from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.pso.minimize import map_vectorized, minimize
-from ampc_ros.pso.swarm import Dimension, PsoSettings
+from ampc_ros.pso.swarm import Dimension
 from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.attempts import measure_attempts
 from launch_scripts.study.drives import (
@@ -96,7 +96,7 @@ class StudyPlan(NamedTuple):
 def quick_plan(switches: Switches) -> StudyPlan:
     """Return the plan of a quick run: two roads and a tiny search."""
     swarm = (("particles", 3), ("generations", 1))
-    claim = ClaimPlan((5.4, 15.0), PsoSettings(particles=3, generations=1), noise_seeds=1)
+    claim = ClaimPlan((5.4, 15.0), evaluations=6, noise_seeds=1)
     return StudyPlan(switches, ("sc1", "sc2"), ("sc1",), (1,), swarm, 5, 2, ("solver",), claim)
 
 

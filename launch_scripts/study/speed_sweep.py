@@ -12,19 +12,20 @@ from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
-from ampc_ros.pso.minimize import map_vectorized, minimize
-from ampc_ros.pso.swarm import PsoSettings
 from launch_scripts.study.drives import (
+    STUDY_ROADS,
     Switches,
     controller_settings,
     paper_car,
     plant_vehicle,
+    study_scenario,
     table3_gains,
 )
 from launch_scripts.tuning.drives import Plant, lane_change, simulated_car
 from launch_scripts.tuning.fitness import gains_of_row, repeat_for_gain_sets
-from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR
+from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR, Integers
 from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare_fleet, run_fleet
+from launch_scripts.tuning.methods import Record, run_method
 from launch_scripts.tuning.task import Bounds, geometric_mean, search_space
 
 CLAIM_PLANTS = (
@@ -50,6 +51,8 @@ CLAIM_CONTENDERS = {
     "single": "adaptive model, single set",
     "table": "adaptive model, table",
 }
+CLAIM_ROADS = ("sc1", "sc2", "sc3_constant", "sc3_varying")
+"""Roads of the paper on which the found gains are driven, too; no search has seen them."""
 CLAIM_RATIOS = {
     "model": ("classic", "table3"),
     "one set": ("table3", "single"),
@@ -64,8 +67,8 @@ class ClaimPlan(NamedTuple):
 
     nodes: tuple[float, ...] = tuple(np.linspace(3.0, 27.0, 11).round(1).tolist())
     """Speeds of the table [m/s]; the speeds half-way are driven, too."""
-    swarm: PsoSettings = PsoSettings(particles=8, generations=6)
-    """Swarm of each node, and of the single set on all nodes."""
+    evaluations: int = 56
+    """Evaluations of the search at each node, and of the single set on all nodes."""
     noise_seeds: int = 4
     """Repetitions of the drive with noise in a search; their mean error counts."""
     pole_change: float = 0.15
@@ -112,6 +115,7 @@ def measure_claim(plan: ClaimPlan, step: Callable[[], None]) -> dict[str, Any]:
         for name, gains in rows.items()
     ]
     mse, lost = drive_claim(controllers, plan.speeds)
+    roads = {plant: drive_claim_roads(controllers, plant) for plant in CLAIM_PLANTS[:2]}
     step()
     five, at_node = len(CLAIM_PLANTS), np.isin(plan.speeds, plan.nodes)
     groups = {"nodes": at_node, "between": ~at_node, "all": at_node | True}
@@ -127,21 +131,26 @@ def measure_claim(plan: ClaimPlan, step: Callable[[], None]) -> dict[str, Any]:
         ],
         "means": {name: part(chosen, slice(five)) for name, chosen in groups.items()},
         "drives": {name: part(slice(None), [k]) for k, name in enumerate(every)},
+        "roads": {
+            f"{STUDY_ROADS[road]}, {plant.name}": claim_summary(mse[:, [k]], lost[:, [k]])
+            for plant, (mse, lost) in roads.items()
+            for k, road in enumerate(CLAIM_ROADS)
+        },
         "gains": {
             "single": single.gains._asdict(),
             "table": [found.gains._asdict() for found in table],
         },
         "search": {
             "fitness_m2": {"single": single.fitness, "table": [row.fitness for row in table]},
-            "evaluations_per_node": plan.swarm.particles * (plan.swarm.generations + 1),
+            "evaluations_per_node": plan.evaluations,
             "seed": plan.seed,
         },
     }
 
 
 def claim_summary(mse: Array, lost: Flags) -> dict[str, Any]:
-    """Return mean errors, number of lost drives and ratios; arguments (contenders, any, any)."""
-    means, count = geometric_mean(mse.reshape(len(mse), -1).T), lost.sum(axis=(1, 2))
+    """Return mean errors, number of lost drives and ratios; arguments (contenders, ...)."""
+    means, count = geometric_mean(mse.reshape(len(mse), -1).T), lost.reshape(len(mse), -1).sum(1)
     mean = dict(zip(CLAIM_CONTENDERS, means.tolist(), strict=True))
     return {
         "mse_m2": mean,
@@ -162,10 +171,10 @@ def search_claim_gains(
             return geometric_mean(np.array([claim_cost(node, gains) for node in chosen]))
 
         space = search_space({"alpha": poles, "R": INCREMENT_WEIGHT_BOUNDS}, CLAIM_GAINS)
-        rng = np.random.default_rng([plan.seed, key])
-        best = minimize(cost, space.dimensions, plan.swarm, rng, map_vectorized)
+        record = Record(cost, space.dimensions, plan.evaluations)
+        position, fitness = run_method("pso", record, np.random.default_rng([plan.seed, key])).best
         step()
-        return FoundGains(gains_of_row(space.gains_at(best.position[None])[0]), best.fitness)
+        return FoundGains(gains_of_row(space.gains_at(position[None])[0]), fitness)
 
     single, table, poles = (
         best_gains(nodes, len(nodes), POLE_BOUNDS),
@@ -190,7 +199,8 @@ def prepare_claim_node(speed: float, noise_seeds: int) -> FleetRun:
 
 def claim_cost(node: FleetRun, gains: Array) -> Array:
     """Return the geometric mean over the five drives of the MSE (n,) of gain sets (n, 6) [m^2]."""
-    mse = claim_errors(run_fleet(repeat_for_gain_sets(node, gains), 2)).mse
+    fleet_run = repeat_for_gain_sets(node, gains)
+    mse = claim_errors(run_fleet(fleet_run, 2), fleet_run.fleet.ticks).mse
     mse, single = mse.reshape(len(gains), -1), len(CLAIM_PLANTS) - 1
     return geometric_mean(np.vstack((mse[:, :single].T, mse[:, single:].mean(axis=1))))
 
@@ -208,9 +218,24 @@ def drive_claim(controllers: Sequence[LateralMpc], speeds: Sequence[float]) -> C
             seen = [plant._replace(seed=plant.seed and UNSEEN_SEED + k) for plant in CLAIM_PLANTS]
             cars += [Entry(simulated_car(plant, car, road), controller) for plant in seen]
             cars.append(Entry(simulated_car(Plant(LINEAR), linear, road), controller))
-    mse, lost = claim_errors(run_fleet(prepare_fleet(cars, LOST), 2))
+    mse, lost = drive_claim_cars(cars)
     shape = len(controllers), len(speeds), len(CLAIM_PLANTS) + 1
     return ClaimErrors(mse.reshape(shape), lost.reshape(shape))
+
+
+def drive_claim_roads(controllers: Sequence[LateralMpc], plant: Plant) -> ClaimErrors:
+    """Drive all controllers on CLAIM_ROADS with one plant; return errors (controllers, roads)."""
+    roads, car = [study_scenario(road) for road in CLAIM_ROADS], paper_car()
+    cars = [Entry(simulated_car(plant, car, road), c) for c in controllers for road in roads]
+    mse, lost = drive_claim_cars(cars)
+    shape = len(controllers), len(roads)
+    return ClaimErrors(mse.reshape(shape), lost.reshape(shape))
+
+
+def drive_claim_cars(cars: Sequence[Entry]) -> ClaimErrors:
+    """Drive cars until they are lost; return their errors (n,)."""
+    fleet_run = prepare_fleet(cars, LOST)
+    return claim_errors(run_fleet(fleet_run, 2), fleet_run.fleet.ticks)
 
 
 def claim_controller(
@@ -234,8 +259,14 @@ def claim_road(speed: float) -> Scenario:
     return lane_change(speed)._replace(wind=(), start_offset=0.0)
 
 
-def claim_errors(log: Array) -> ClaimErrors:
-    """Return the errors (n,) of a log (n, ticks, LOGGED); missing ticks count with LOST."""
+def claim_errors(log: Array, ticks: Integers) -> ClaimErrors:
+    """Return the errors (n,) of a log (n, most ticks, LOGGED); missing ticks count with LOST.
+
+    Args:
+        log: Log of a fleet.
+        ticks: (n,) number of ticks of each drive.
+    """
     error = log[..., CROSS_TRACK_ERROR]
     error = np.where(np.isnan(error), LOST, error)
-    return ClaimErrors(np.mean(error**2, axis=1), np.abs(error).max(axis=1) >= LOST)
+    error[np.arange(log.shape[1]) >= ticks[:, None]] = 0.0
+    return ClaimErrors(np.sum(error**2, axis=1) / ticks, np.abs(error).max(axis=1) >= LOST)

@@ -94,7 +94,9 @@ class TuningReport(NamedTuple):
             return "no single gain set brings every car through: " + (
                 "table written" if self.is_table else "single gain set written"
             )
-        saved = f"{self.saving:.0%}"
+        if math.isinf(self.saving):
+            return "the table loses a car on held-out plants: single gain set written"
+        saved = f"{round(100 * self.saving)}%"
         if self.is_table:
             better = "the table beats the best single gain set"
             return f"{better} by {saved} on held-out plants: table written"
@@ -312,10 +314,10 @@ def table_yaml(task: TuningTask, report: TuningReport, origin: dict[str, Any]) -
             note = f"{v:g} m/s" + (f", {y:g} m" if with_references else "")
             missing = ": NOT REACHED, its neighbour's" if (v, y) in report.not_reached else ""
             lines.append(f"  - {_gains_yaml(gains)} # {note}{missing}")
-    else:  # both ends of the grid, so that a speed outside them is reported
-        ends = sorted({task.speeds[0], task.speeds[-1]})
+    else:  # all speeds of the grid, at which a certificate checks the set
         row = _gains_yaml(report.single.table.nodes[0])
-        lines += [f"speed: {ends} # m/s", "gains:", *(f"  - {row}" for _ in ends)]
+        lines += [f"speed: {list(task.speeds)} # m/s", "gains:", f"  - &same {row}"]
+        lines += ["  - *same"] * (len(task.speeds) - 1)
     text = yaml.safe_dump({"provenance": origin}, width=100, sort_keys=False,
                           default_flow_style=None)  # fmt: skip
     return "\n".join([*lines, text])

@@ -1,10 +1,9 @@
 """Elementary functions without branches and calls, which become SIMD code in a loop over wheels.
 
-Gain over the functions of the mathematical library, measured: a control period of the simulated
-car (20 integration steps) takes 8 instead of 13 microseconds. A closed-loop tick of a fleet takes
-18 instead of 23 microseconds (23 % less), one of a single drive 67 instead of 72 (7 % less).
+The functions of the mathematical library are calls, which keep the loop from becoming SIMD code
+(tests/tools/test_swarm_of_cars.py).
 
-They are exactly odd or even, and agree with the library within 2 units in the last place
+These are exactly odd or even, and agree with the library within 2 units in the last place
 (tests/plant/test_elementary.py). Sources of the polynomials: sine and cosine, S. L. Moshier, Cephes
 Mathematical Library, sin.c; arc tangent and arc sine, Sun Microsystems, fdlibm, s_atan.c and
 e_asin.c. They are evaluated in Estrin's order, which allows more operations in parallel than

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from pathlib import Path as File
 
 import numpy as np
 import pytest
@@ -58,6 +59,15 @@ def errors_of(car: str, side: float) -> Array:
 @every_car
 def test_a_lane_change_stays_within_the_bound(car: str) -> None:
     assert np.abs(errors_of(car, 1.0)).max() < DRIVES[car][2]
+
+
+@every_car
+def test_the_page_states_the_largest_error_of_the_lane_change(car: str) -> None:
+    page = File(__file__).parents[2] / "ampc_ros" / "doc" / "my_car.md"
+    (row,) = (x for x in page.read_text("utf-8").splitlines() if x.startswith(f"| `{car}` |"))
+    stated = float(row.split()[-3])
+    assert row.endswith(f"{stated:g} mm |")
+    assert stated == pytest.approx(1000.0 * np.abs(errors_of(car, 1.0)).max(), abs=0.6)
 
 
 @every_car

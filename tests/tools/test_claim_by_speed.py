@@ -9,12 +9,13 @@ from ampc_msgs_config.config import find, load
 from ampc_msgs_config.metrics import errors
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_ros.mpc.gain_table import Gains, load_gain_table
-from ampc_ros.pso.swarm import PsoSettings
 from launch_scripts.study.claim_by_speed import claim_tables, main
+from launch_scripts.study.drives import TunedGains, metrics_of, study_scenario
 from launch_scripts.study.speed_sweep import (
     CLAIM_GAINS,
     CLAIM_PLANTS,
     CLAIM_RATIOS,
+    CLAIM_ROADS,
     UNSEEN_SEED,
     ClaimPlan,
     claim_controller,
@@ -23,6 +24,7 @@ from launch_scripts.study.speed_sweep import (
     claim_road,
     claim_summary,
     drive_claim,
+    drive_claim_roads,
     measure_claim,
     prepare_claim_node,
     search_claim_gains,
@@ -32,7 +34,7 @@ from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 TABLE3 = load_gain_table("table3").nodes[0]
-SMALL = ClaimPlan((4.0, 9.0), PsoSettings(particles=3, generations=1), noise_seeds=1)
+SMALL = ClaimPlan((4.0, 9.0), evaluations=6, noise_seeds=1)
 NOISE = [plant.name for plant in CLAIM_PLANTS].index("noise")
 
 
@@ -65,6 +67,14 @@ def test_errors_are_those_of_a_single_car_in_the_closed_loop(drive_name: str, sp
     assert measured[names.index(drive_name)] == pytest.approx(np.mean(alone**2), rel=1e-6)
 
 
+def test_errors_on_the_paper_s_roads_are_those_of_the_contender_ampc_of_the_study() -> None:
+    mse = drive_claim_roads([claim_controller([3.0, 27.0], [TABLE3])], CLAIM_PLANTS[0]).mse[0]
+    tuned = TunedGains((0.6, 4.0), TABLE3, TABLE3)
+    for road, value in zip(CLAIM_ROADS, mse, strict=True):
+        alone = metrics_of(["paper"], study_scenario(road), tuned, frozenset())["paper"]
+        assert value == pytest.approx(alone["mse_m2"], rel=1e-6)
+
+
 def test_table_of_equal_nodes_drives_as_its_single_set() -> None:
     equal = claim_controller([5.0, 8.0, 11.0], [CLAIM_GAINS] * 3)
     single = claim_controller([5.0, 8.0, 11.0], [CLAIM_GAINS])
@@ -86,12 +96,13 @@ def test_far_above_its_speed_the_fixed_model_loses_the_car_and_the_adaptive_one_
 
 
 def test_ticks_after_a_loss_count_with_10_m() -> None:
-    log = np.full((2, 10, LOGGED), np.nan)
+    log = np.full((3, 10, LOGGED), np.nan)
     log[0, :, CROSS_TRACK_ERROR] = 2.0
     log[1, :4, CROSS_TRACK_ERROR] = -1.0
-    mse, lost = claim_errors(log)
-    assert mse == pytest.approx([4.0, 0.4 * 1.0 + 0.6 * 100.0])
-    assert lost.tolist() == [False, True]
+    log[2, :5, CROSS_TRACK_ERROR] = 3.0  # a drive of five ticks
+    mse, lost = claim_errors(log, np.array([10, 10, 5]))
+    assert mse == pytest.approx([4.0, 0.4 * 1.0 + 0.6 * 100.0, 9.0])
+    assert lost.tolist() == [False, True, False]
 
 
 def test_each_factor_is_the_ratio_of_two_geometric_means_and_their_product_is_the_whole() -> None:

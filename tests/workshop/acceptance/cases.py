@@ -249,6 +249,8 @@ def tyres() -> list[Case]:
     trials["sc3_constant, stiffness -30 %"] = Trial(
         "sc3_constant", factors=tuple((axle, 0.7) for axle in axles)
     )
+    for car in CARS:
+        trials[f"sc1 at 20 m/s, {car} car"] = Trial("sc1", car, speed=20.0)
     for road in ("sc1", "sc1_falcone"):
         trials[f"{road}, friction 0.5"] = Trial(road, friction=0.5)
     return [

@@ -16,6 +16,7 @@ from ampc_ros.configuration import Choices
 from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
 from launch_scripts.certifying.measurements import Drives, delay_margins, error_of
 from launch_scripts.certifying.subject import Subject, load_subject
+from tests.workshop.acceptance.trials import OTHER_TABLES
 
 LOOP_SPEEDS = (1.0, 3.0, 5.0, 9.0, 15.0, 20.0, 27.0, 33.0, 40.0)
 """Speeds of the table [m/s]."""
@@ -30,8 +31,8 @@ COLUMNS = ("radius", "estimator_radius", "margin", "small_margin", "large_margin
 
 
 def subject_with_delay(car: str, delay: float) -> Subject:
-    """Return a shipped car with its shipped table, and a configured delay of the steering [s]."""
-    subject = load_subject(Choices(vehicle=car))
+    """Return a shipped car with its gain table, and a configured delay of the steering [s]."""
+    subject = load_subject(Choices(vehicle=car, gain_table=OTHER_TABLES.get(car, "")))
     steering = replace(subject.vehicle.steering, delay=delay)
     config = subject.config._replace(steering=replace(subject.config.steering, delay=delay))
     return subject._replace(vehicle=subject.vehicle._replace(steering=steering), config=config)
