@@ -124,8 +124,10 @@ def scheduled_gains(schedule: GainSchedule, situation: Situation) -> ScheduledGa
     if not all(map(math.isfinite, situation)):
         return None
     u = scale_inputs(schedule, situation)
-    is_network = isinstance(schedule, Network)
-    pole, log_weight = network_outputs(schedule, u) if is_network else anfis_outputs(schedule, u)
+    if isinstance(schedule, Network):
+        pole, log_weight = network_outputs(schedule, u)
+    else:
+        pole, log_weight = anfis_outputs(schedule, u)
     low, high = schedule.increment_weight
     weight = 10.0 ** clip(log_weight, math.log10(low), math.log10(high))
     return ScheduledGains(clip(pole, *schedule.laguerre_pole), clip(weight, low, high))

@@ -135,10 +135,10 @@ class PreviewMpc(Controller):
             self.model_row, gains, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
         answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
-        if outside:
-            answer = answer._replace(diagnosis=answer.diagnosis._replace(outside_table=1.0))
         if math.isnan(answer.diagnosis.prediction_horizon):
             return answer
+        if outside:
+            answer = answer._replace(diagnosis=answer.diagnosis._replace(outside_table=1.0))
         H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
@@ -228,6 +228,6 @@ def curvature_ahead(path: Path, index: int, distance: float) -> float:
         return math.nan
     last = len(path.x) - 1
     count = int(min(max(distance / path.spacing, 0.0), last)) + 1
-    samples = np.arange(index, index + count)
-    samples = samples % last if path.closed else samples[samples <= last]
-    return float(np.abs(path.curvature[samples]).max(initial=0.0))
+    ahead = np.arange(index, index + count)
+    inside = ahead % last if path.closed else ahead[ahead <= last]
+    return float(np.abs(path.curvature[inside]).max(initial=0.0))
