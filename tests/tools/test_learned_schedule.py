@@ -8,7 +8,7 @@ import pytest
 
 from ampc_msgs_config.config import read
 from ampc_ros.mpc.gain_schedule import Anfis, Network, Situation, scheduled_gains
-from ampc_ros.mpc.gain_table import Gains, load_gain_table
+from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from launch_scripts import tune
 from launch_scripts.study import learned_schedule
 from launch_scripts.study.learned_schedule import DrivenGains, judge_at, main, verdict
@@ -25,8 +25,8 @@ def targets() -> list[Target]:
     """Return targets on a smooth function of the situation."""
     return [
         Target(Situation(v, curvature, latency), gains_at(v, curvature, latency), 1.0)
-        for v in (3.0, 8.0, 20.0, 40.0)
-        for curvature in (3.0e-4, 0.01)
+        for v in (3.0, 6.0, 11.0, 20.0, 40.0)
+        for curvature in (3.0e-4, 3.0e-3, 0.03)
         for latency in (0.0, 0.2)
     ]
 
@@ -75,7 +75,7 @@ def test_the_command_writes_a_file_that_loads_and_states_its_origin(
 ) -> None:
     for key, value in {"STARTS": 1, "MOST_STEPS": 3, "ADDED_LATENCIES": (0.0, 0.1)}.items():
         monkeypatch.setattr(learning, key, value)
-    monkeypatch.setattr(learning, "SHARES", (0.0, 1.0))
+    monkeypatch.setattr(learning, "SHARES", (1.0,))
     file = tmp_path / "mine.yaml"
     options = ["--speeds", "8", "15", "--evaluations", "12", "--seeds", "3", "--workers", "1"]
     assert tune.main([*options, "--schedule", "network", "--output", str(file)]) == 0
@@ -83,7 +83,7 @@ def test_the_command_writes_a_file_that_loads_and_states_its_origin(
     assert isinstance(table.schedule, Network)
     assert len(table.nodes) == 1
     assert table.schedule.speed == (8.0, 15.0)
-    assert (origin["schedule"], origin["seeds"], origin["targets"]) == ("network", [3], 8)
+    assert (origin["schedule"], origin["seeds"], origin["targets"]) == ("network", [3], 4)
     assert "--schedule network" in origin["command"]
     assert not file.with_suffix(".checkpoint").exists()
 
@@ -102,8 +102,8 @@ def test_what_cannot_be_learned_is_a_wrong_option(
 
 def test_drives_in_python_have_the_fitness_of_the_fleet() -> None:
     node = TASK.nodes((9.5,))[0]._replace(kind=JUDGED)
-    table = load_gain_table("preview")
-    gains = table.lookup(9.5).gains
+    gains = load_gain_table("preview").lookup(9.5).gains
+    table = GainTable([9.5], [0.0], [gains])
     assert judge_at(node, table) == pytest.approx(fitness(node, [gains])[0], rel=1e-9)
 
 
