@@ -43,7 +43,7 @@ INTRODUCTION = """\
 # Learned schedule of the gains
 
 A gain file of the controller `preview` may hold a `schedule`: a neural network with one hidden
-layer of six neurons (`network`), or a Takagi-Sugeno system of four rules of first order with
+layer of six neurons (`network`), or a Takagi-Sugeno system of three rules of first order with
 Gaussian memberships (`anfis`). It maps three inputs to pole and increment weight R in each tick:
 
 * speed,
@@ -207,6 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             verdicts.append(f"* `{vehicle}`, {kind}: residual {item.residual:.2f}.")
         candidates = [judge(name, table, task) for name, table in tables.items()]
         rows += table_rows(vehicle, candidates)
+        console.print("\n".join(map(" | ".join, table_rows(vehicle, candidates))), markup=False)
         verdicts.append(verdict(vehicle, candidates))
     lines = [*markdown_table(HEADINGS, rows, "llr"), "", *verdicts]
     console.print("\n".join(lines), markup=False)

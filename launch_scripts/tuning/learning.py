@@ -44,8 +44,10 @@ ADDED_LATENCIES = (0.0, 0.1, 0.2)
 """Delays of the situations in addition to the latency of the vehicle [s]."""
 SHARES = (0.0, 1.0 / 3.0, 1.0)
 """Curvatures of the situations, relative to that of the lane change of the fitness."""
-NEURONS, RULES = 6, 4
+NEURONS, RULES = 6, 3
 """Sizes of the two kinds."""
+WIDTHS = (0.6, 4.0)
+"""Bounds of the widths of memberships; the inputs span 2. Narrower ones interpolate badly."""
 STARTS = 3
 """Random starts of a fit; the one with the smallest residual is used."""
 POLE_ERROR, WEIGHT_ERROR = 0.1, 0.5
@@ -154,7 +156,7 @@ def make_anfis(parameters: Array, ends: Mapping[str, Any]) -> Anfis:
     rules = tuple(
         FuzzyRule(
             centre=row[:3],
-            width=tuple(np.exp(np.clip(row[3:6], -1.5, 1.5)).tolist()),
+            width=tuple(np.clip(np.exp(row[3:6]), *WIDTHS).tolist()),
             laguerre_pole=row[6:10],
             increment_weight=row[10:],
         )
