@@ -25,12 +25,12 @@ from launch_scripts.certifying.certificate import (
     Result,
     certify,
     default_folder,
+    driven_seconds,
     file_name,
     loop_speeds,
     to_document,
     to_text,
 )
-from launch_scripts.certifying.measurements import driven_seconds
 from launch_scripts.certifying.page import bounds_table, figures, page, results_table, rows_of
 from launch_scripts.certifying.subject import Subject, load_subject
 from launch_scripts.reporting.pages import terminal_table

@@ -26,7 +26,7 @@ from ampc_ros.configuration import Choices
 from launch_scripts.run.options import print_vehicle_warnings
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
 from launch_scripts.tuning.learning import KINDS, check_learnable, learn, schedule_yaml
-from launch_scripts.tuning.methods import METHODS, Record
+from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
 from launch_scripts.tuning.report import (
     TuningReport,
     polish_searches,
@@ -58,7 +58,12 @@ def build_parser() -> argparse.ArgumentParser:
     add("--vehicle", default="paper", help=f"YAML file, or {', '.join(shipped('vehicles'))}")
     add("--formulation", default="preview", choices=PRESETS, help="formulation of the controller")
     add("--settings", default=SETTINGS, help=f"controller: {', '.join(shipped('controllers'))}")
-    add("--method", default="pso", choices=METHODS, help="search method; paper: Eqs. (31)-(34)")
+    add(
+        "--method",
+        default="pso",
+        choices=SEARCH_METHODS,
+        help="search method; paper: Eqs. (31)-(34)",
+    )
     add("--fitness", choices=FITNESS, help="default: that of the formulation")
     add("--speeds", nargs="*", type=float, metavar="V", help="speeds of the table [m/s]")
     add("--references", nargs="*", type=float, metavar="Y", help="lateral references [m]")
@@ -109,7 +114,7 @@ def search_and_prove(
         shown: dict[str, int] = {}
         lock = threading.Lock()
 
-        def show(search: Search, record: Record) -> None:
+        def show(search: Search, record: SearchRecord) -> None:
             best = f"best fitness {record.fitness.min():.3g}"
             with lock:
                 new = len(record.fitness) - shown.get(search.name, 0)
@@ -137,7 +142,7 @@ def train_schedule(
     checkpoints.begin({**task.describe(), "schedule": chosen.schedule}, chosen.resume)
     with console.status("compiling") as status:
 
-        def show(search: Search, record: Record) -> None:
+        def show(search: Search, record: SearchRecord) -> None:
             status.update(f"{search.name}: best fitness {record.fitness.min():.3g}")
 
         learned = learn(task, chosen.schedule, workers, checkpoints, show)

@@ -12,10 +12,19 @@ from ampc_msgs_config.config import FOLDER, find, shipped
 from ampc_msgs_config.types import Array
 from ampc_ros.certificate import CERTIFICATE_VERSION, SUFFIX, content_digest, identity_of
 from launch_scripts.certifying.bounds import ACCEPTANCE_BOUNDS, Bound
+from launch_scripts.certifying.margins import (
+    COARSE_DELAYS,
+    COARSE_GAINS,
+    COARSE_REDUCTIONS,
+    MARGIN_DURATION,
+    margins,
+)
 from launch_scripts.certifying.measurements import (
+    OFFSETS,
+    RAMP_ACCELERATION,
+    SLOW,
     disturbances,
     gain_steps,
-    margins,
     time_constants,
 )
 from launch_scripts.certifying.subject import (
@@ -25,6 +34,7 @@ from launch_scripts.certifying.subject import (
     top_speed,
 )
 from launch_scripts.run.progress import Advance
+from launch_scripts.tuning.drives import JOIN_DURATION
 
 VALUE_DIGITS, VALUE_DECIMALS = 3, 4
 """Significant digits and decimals of a measured value."""
@@ -197,3 +207,12 @@ def default_folder(subject: Subject) -> Path:
 def loop_speeds(subject: Subject) -> Array:
     """Return the speeds that a certificate checks [m/s]."""
     return np.asarray(speed_grid(subject.config.gains["speed"], top_speed(subject.vehicle))[0])
+
+
+def driven_seconds(subject: Subject, speeds: Array) -> float:
+    """Return how many seconds all drives take, for an estimate of the remaining time [s]."""
+    per_margin = len(COARSE_DELAYS) + len(COARSE_GAINS) + len(COARSE_REDUCTIONS) + 5
+    longer = np.maximum(SLOW / speeds, 1.0).sum()
+    drives = len(OFFSETS) + 5 + 2 * len(subject.variations)
+    ramps = 2.0 * (speeds[-1] - speeds[0]) / RAMP_ACCELERATION
+    return float(longer * (per_margin * MARGIN_DURATION + drives * JOIN_DURATION) + ramps)

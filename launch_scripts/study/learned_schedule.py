@@ -26,7 +26,7 @@ from launch_scripts.tuning.drives import ROADS, Plant, nominal_vehicle, simulate
 from launch_scripts.tuning.fitness import JUDGED, LOST_ERROR, Node, fitness_of_log, gains_of_row
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, LOG_STEERING, LOGGED
 from launch_scripts.tuning.learning import KINDS, Learned, fit_results, schedule_searches
-from launch_scripts.tuning.methods import Record
+from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.search import Checkpoints, run_searches
 from launch_scripts.tuning.task import Search, TuningTask, geometric_mean, read_task
 from launch_scripts.tuning.workers import open_workers
@@ -154,7 +154,7 @@ def learn_both(task: TuningTask, folder: Path, console: Console) -> dict[str, Le
     checkpoints.begin(task.describe(), resume=folder.is_dir())
     done: set[str] = set()
 
-    def show(search: Search, record: Record) -> None:
+    def show(search: Search, record: SearchRecord) -> None:
         if len(record.fitness) == search.evaluations and search.name not in done:
             done.add(search.name)
             console.print(f"{search.name}: best fitness {record.best[1]:.3g}")

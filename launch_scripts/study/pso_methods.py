@@ -11,7 +11,7 @@ from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import map_vectorized, minimize
 from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.study.pso_variants import VariantSettings
-from launch_scripts.tuning.methods import Record, has_cma, run_method
+from launch_scripts.tuning.methods import SearchRecord, has_cma, run_method
 
 PARTICLES, GENERATIONS, SCHEDULE = 20, 41, 100
 """Sizes of the paper's comparison: 41 of 100 generations are shown."""
@@ -106,7 +106,7 @@ def swarm_search(
 def tuner_search(name: str, cost: Cost, dimensions: int, rng: np.random.Generator) -> None:
     """Search with a method of `tune.py --method`, PARTICLES evaluations a generation."""
     bounds = [Dimension(f"x{k}", -BOUND, BOUND) for k in range(dimensions)]
-    run_method(name, Record(cost, bounds, BUDGET, PARTICLES), rng)
+    run_method(name, SearchRecord(cost, bounds, BUDGET, PARTICLES), rng)
 
 
 def comparison_settings(variant: str, **changes: Any) -> VariantSettings:

@@ -9,7 +9,7 @@ import numpy as np
 from ampc_msgs_config.types import Array
 from launch_scripts.reporting.pages import markdown_table
 from launch_scripts.tune import build_parser
-from launch_scripts.tuning.methods import METHODS, Record, has_cma, run_method
+from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord, has_cma, run_method
 from launch_scripts.tuning.task import TABLE_SEARCH, read_task
 
 EVALUATIONS = (30, 45, 90)
@@ -42,14 +42,14 @@ TUNING_PROBLEMS = (
 
 def method_names() -> list[str]:
     """Return the methods that are installed."""
-    return [name for name in METHODS if name != "cma" or has_cma()]
+    return [name for name in SEARCH_METHODS if name != "cma" or has_cma()]
 
 
 def best_curve(problem: TuningProblem, method: str, seed: int, budget: int) -> Array:
     """Return the best fitness after each evaluation of a search (budget,)."""
     task = read_task(build_parser().parse_args(problem.options))
     search = task.search(TABLE_SEARCH, seed, 0, tuple(task.nodes()), budget)
-    record = Record(search.cost, search.space.dimensions, budget)
+    record = SearchRecord(search.cost, search.space.dimensions, budget)
     best = np.minimum.accumulate(run_method(method, record, search.rng).fitness)
     return np.append(best, np.full(budget - len(best), best[-1]))
 

@@ -23,7 +23,7 @@ from launch_scripts.reporting.pages import markdown_table
 from launch_scripts.reporting.style import BLUE, ORANGE
 from launch_scripts.tune import build_parser
 from launch_scripts.tuning.fitness import JUDGED
-from launch_scripts.tuning.methods import Record, run_method
+from launch_scripts.tuning.methods import SearchRecord, run_method
 from launch_scripts.tuning.task import TABLE_SEARCH, TuningTask, read_task
 
 BEST_EVALUATIONS = 90
@@ -95,11 +95,11 @@ def best_possible(name: str, speed: float) -> float:
     task = task_of(name)
     nodes = tuple(node._replace(kind=JUDGED) for node in task.nodes((speed,)))
     search = task.search(TABLE_SEARCH, 1, 0, nodes, BEST_EVALUATIONS)
-    record = Record(search.cost, search.space.dimensions, BEST_EVALUATIONS)
+    record = SearchRecord(search.cost, search.space.dimensions, BEST_EVALUATIONS)
     return run_method("pso", record, search.rng).best[1]
 
 
-def judge(name: str, pool: ProcessPoolExecutor) -> Judged:
+def judged_table(name: str, pool: ProcessPoolExecutor) -> Judged:
     """Read the proof of a shipped table and search the best possible gains."""
     proof = json.loads(proof_file(name).read_text(encoding="utf-8"))
     nodes = np.array(task_of(name).speeds)
@@ -162,7 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ProcessPoolExecutor(chosen.workers) as pool:
         for name in judged_tables():
             console.print(f"{name}: searching the best possible gains")
-            tables.append(judge(name, pool))
+            tables.append(judged_table(name, pool))
     lines = table_lines(tables)
     console.print("\n".join(lines), markup=False)
     picture = chosen.update.with_suffix(".png")

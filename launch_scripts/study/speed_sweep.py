@@ -25,7 +25,7 @@ from launch_scripts.tuning.drives import Plant, lane_change, simulated_car
 from launch_scripts.tuning.fitness import gains_of_row, repeat_for_gain_sets
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR, Integers
 from launch_scripts.tuning.fleet_rows import Entry, FleetRun, prepare_fleet, run_fleet
-from launch_scripts.tuning.methods import Record, run_method
+from launch_scripts.tuning.methods import SearchRecord, run_method
 from launch_scripts.tuning.task import Bounds, geometric_mean, search_space
 
 CLAIM_PLANTS = (
@@ -171,7 +171,7 @@ def search_claim_gains(
             return geometric_mean(np.array([claim_cost(node, gains) for node in chosen]))
 
         space = search_space({"alpha": poles, "R": INCREMENT_WEIGHT_BOUNDS}, CLAIM_GAINS)
-        record = Record(cost, space.dimensions, plan.evaluations)
+        record = SearchRecord(cost, space.dimensions, plan.evaluations)
         position, fitness = run_method("pso", record, np.random.default_rng([plan.seed, key])).best
         step()
         return FoundGains(gains_of_row(space.gains_at(position[None])[0]), fitness)

@@ -32,7 +32,7 @@ from ampc_ros.mpc.gain_schedule import (
 from ampc_ros.mpc.gain_table import Gains
 from launch_scripts.tuning.drives import CURVATURE, LANE_CHANGE_ACCELERATION, STRAIGHT
 from launch_scripts.tuning.fitness import SITUATION, Node
-from launch_scripts.tuning.methods import Record
+from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
 from launch_scripts.tuning.smoothness import smoothest
 from launch_scripts.tuning.task import SINGLE, Search, TuningTask
@@ -207,7 +207,7 @@ def learn(
     kind: str,
     workers: Workers,
     checkpoints: Checkpoints,
-    show: Callable[[Search, Record], None],
+    show: Callable[[Search, SearchRecord], None],
 ) -> Learned:
     """Search the targets and the single gain set, and fit a schedule.
 

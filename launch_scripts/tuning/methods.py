@@ -1,9 +1,9 @@
 """Search methods for an expensive fitness: the paper's swarm, its adaptation, and library methods.
 
-A method asks a `Record` for the fitness of positions in the unit cube until its budget is used up.
-All methods are therefore compared and resumed in the same way:
+A method asks a `SearchRecord` for the fitness of positions in the unit cube until its budget is
+spent. All methods are therefore compared and resumed in the same way:
 
-    record = run_method("pso", Record(cost, dimensions, 90), np.random.default_rng(1))
+    record = run_method("pso", SearchRecord(cost, dimensions, 90), np.random.default_rng(1))
     position, fitness = record.best
 """
 
@@ -28,11 +28,11 @@ SOBOL_SHARE, SWARM_SHARE = 0.35, 0.25
 DECAY = 3.0
 """lambda_1 of Eq. (33) in `pso`: the inertia falls from 1 to 0.13 during the moves of the swarm.
 The paper's 30 lets it fall to 0.11 in the first of 8 generations."""
-EDGE = 0.08
+SIMPLEX_EDGE = 0.08
 """Edge of the first simplex of a polish."""
-TOLERANCE = 1e-4
+POLISH_TOLERANCE = 1e-4
 """Edge of the simplex, and relative difference of the fitness, at which a polish ends."""
-FAR = 0.15
+MIN_DISTANCE = 0.15
 """Distance from all earlier polishes at which another one starts."""
 CMA_STEP = 0.25
 """Initial standard deviation of CMA-ES: a quarter of the range, as its author recommends."""
@@ -42,7 +42,7 @@ class BudgetSpent(Exception):
     """Raised in a method that asks for more evaluations than its budget."""
 
 
-class Record:
+class SearchRecord:
     """Cost function with its bounds, and all positions that a search has evaluated."""
 
     def __init__(
@@ -52,9 +52,9 @@ class Record:
         budget: int,
         generation: int = 10,
         known: tuple[Array, Array] | None = None,
-        save: Callable[["Record"], None] = lambda record: None,
+        save: Callable[["SearchRecord"], None] = lambda record: None,
     ) -> None:
-        """Record the evaluations of a cost function.
+        """SearchRecord the evaluations of a cost function.
 
         Args:
             cost: Fitness (n,) at positions (n, d), integer dimensions rounded.
@@ -115,41 +115,41 @@ class Record:
         return self.positions[i], float(self.fitness[i])
 
 
-Method = Callable[[Record, np.random.Generator], None]
+SearchMethod = Callable[[SearchRecord, np.random.Generator], None]
 
 
-def run_method(name: str, record: Record, rng: np.random.Generator) -> Record:
-    """Run a method of METHODS until it ends or its budget is used up; return its record.
+def run_method(name: str, record: SearchRecord, rng: np.random.Generator) -> SearchRecord:
+    """Run a method of SEARCH_METHODS until it ends or its budget is used up; return its record.
 
     Raises:
         ValueError: The library of the method is not installed.
     """
     with contextlib.suppress(BudgetSpent):
-        METHODS[name](record, rng)
+        SEARCH_METHODS[name](record, rng)
     return record
 
 
-def random_search(record: Record, rng: np.random.Generator) -> None:
+def random_search(record: SearchRecord, rng: np.random.Generator) -> None:
     """Draw all positions uniformly."""
     while True:
         record(rng.random((record.generation, len(record.dimensions))))
 
 
-def unit_swarm(record: Record, settings: PsoSettings, rng: np.random.Generator,
+def unit_swarm(record: SearchRecord, settings: PsoSettings, rng: np.random.Generator,
                start: Swarm | None = None) -> None:  # fmt: skip
     """Search with a swarm in the unit cube."""
     cube = [Dimension(f"x{i}", 0.0, 1.0) for i in range(len(record.dimensions))]
     minimize(record, cube, settings, rng, map_vectorized, start)
 
 
-def paper_swarm(record: Record, rng: np.random.Generator) -> None:
+def paper_swarm(record: SearchRecord, rng: np.random.Generator) -> None:
     """Search with the paper's swarm, Eqs. (31)-(34), whose schedule ends with the budget."""
     particles = record.generation
     generations = max(1, math.ceil(record.budget / particles) - 1)
     unit_swarm(record, PsoSettings(particles=particles, generations=generations), rng)
 
 
-def adapted_swarm(record: Record, rng: np.random.Generator) -> None:
+def adapted_swarm(record: SearchRecord, rng: np.random.Generator) -> None:
     """Search with the paper's swarm, adapted to tens of evaluations.
 
     The first positions are a Sobol sequence. The best of them are the swarm, and Eq. (33) decays
@@ -176,12 +176,15 @@ def adapted_swarm(record: Record, rng: np.random.Generator) -> None:
 
 
 def is_far(unit: Array, places: Sequence[Array]) -> bool:
-    """Return whether a position (d,) is further than FAR from all places."""
-    return all(float(np.abs(unit - place).max()) > FAR for place in places)
+    """Return whether a position (d,) is further than MIN_DISTANCE from all places."""
+    return all(float(np.abs(unit - place).max()) > MIN_DISTANCE for place in places)
 
 
 def swarm_at(
-    record: Record, chosen: npt.NDArray[np.intp], settings: PsoSettings, rng: np.random.Generator
+    record: SearchRecord,
+    chosen: npt.NDArray[np.intp],
+    settings: PsoSettings,
+    rng: np.random.Generator,
 ) -> Swarm:
     """Return a swarm at rest whose particles are evaluated positions."""
     x, fitness = record.unit[chosen], record.fitness[chosen]
@@ -193,7 +196,7 @@ def swarm_at(
 
 
 def polish(
-    record: Record,
+    record: SearchRecord,
     start: Array,
     evaluations: int | None = None,
     adjusted: Callable[[Array, float], float] = lambda unit, value: value,
@@ -207,7 +210,7 @@ def polish(
         adjusted: Cost of a position (d,) in the unit cube and its fitness, by default the fitness.
     """
     d = len(start)
-    steps = np.where(start + EDGE > 1.0, -EDGE, EDGE)
+    steps = np.where(start + SIMPLEX_EDGE > 1.0, -SIMPLEX_EDGE, SIMPLEX_EDGE)
     simplex = np.vstack((start, start + np.diag(steps)))
     limit = record.budget if evaluations is None else evaluations
 
@@ -216,12 +219,12 @@ def polish(
         return math.log(min(max(value, 1e-300), 1e300))
 
     options: Any = {"initial_simplex": simplex, "maxfev": limit}
-    options |= {"xatol": TOLERANCE, "fatol": TOLERANCE}
+    options |= {"xatol": POLISH_TOLERANCE, "fatol": POLISH_TOLERANCE}
     ends = Bounds(np.zeros(d), np.ones(d))
     minimize_locally(cost, start, method="Nelder-Mead", bounds=ends, options=options)
 
 
-def cma_es(record: Record, rng: np.random.Generator) -> None:
+def cma_es(record: SearchRecord, rng: np.random.Generator) -> None:
     """Search with N. Hansen's CMA-ES from a random position.
 
     Raises:
@@ -245,7 +248,7 @@ def has_cma() -> bool:
     return importlib.util.find_spec("cma") is not None
 
 
-def differential_search(record: Record, rng: np.random.Generator) -> None:
+def differential_search(record: SearchRecord, rng: np.random.Generator) -> None:
     """Search with SciPy's differential evolution."""
     d = len(record.dimensions)
 
@@ -265,7 +268,7 @@ def differential_search(record: Record, rng: np.random.Generator) -> None:
     )
 
 
-METHODS: dict[str, Method] = {
+SEARCH_METHODS: dict[str, SearchMethod] = {
     "pso": adapted_swarm,
     "paper": paper_swarm,
     "de": differential_search,

@@ -20,7 +20,7 @@ from ampc_msgs_config.config import read_text
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from launch_scripts.tuning.fitness import gains_of_row
-from launch_scripts.tuning.methods import BudgetSpent, Record, polish, run_method
+from launch_scripts.tuning.methods import BudgetSpent, SearchRecord, polish, run_method
 from launch_scripts.tuning.smoothness import jump_penalty
 from launch_scripts.tuning.task import FIELDS, LOGARITHMIC, Search, SearchSpace
 from launch_scripts.tuning.workers import Workers
@@ -100,7 +100,7 @@ class Checkpoints:
                     f"now {new!r}"
                 )
 
-    def save(self, name: str, record: Record) -> None:
+    def save(self, name: str, record: SearchRecord) -> None:
         """Write the evaluations of a search."""
         fitness = [value if math.isfinite(value) else None for value in record.fitness.tolist()]
         content = {"positions": record.positions.tolist(), "fitness": fitness}
@@ -147,7 +147,7 @@ def run_searches(
     searches: Sequence[Search],
     workers: Workers,
     checkpoints: Checkpoints,
-    show: Callable[[Search, Record], None],
+    show: Callable[[Search, SearchRecord], None],
 ) -> dict[str, SearchResult]:
     """Run searches, several at a time, and return their results by name.
 
@@ -168,7 +168,7 @@ def run_searches(
             tasks = [workers.executor.submit(item.cost, part) for part in parts]
             return np.concatenate([task.result() for task in tasks])
 
-        def save(record: Record) -> None:
+        def save(record: SearchRecord) -> None:
             if len(record.fitness) > len(known[1]):
                 checkpoints.save(item.name, record)
             show(item, record)
@@ -178,7 +178,7 @@ def run_searches(
         dimensions = item.space.dimensions
         known = checkpoints.load(item.name) or (np.empty((0, len(dimensions))), np.empty(0))
         sizes = item.evaluations, item.generation
-        record = Record(cost, dimensions, *sizes, known, save)
+        record = SearchRecord(cost, dimensions, *sizes, known, save)
         return item.name, result_of(run_search(item, record), item.space)
 
     with ThreadPoolExecutor(min(len(searches), workers.capacity + 1)) as drivers:
@@ -199,7 +199,7 @@ def run_searches(
     return dict(task.result() for task in tasks)
 
 
-def run_search(item: Search, record: Record) -> Record:
+def run_search(item: Search, record: SearchRecord) -> SearchRecord:
     """Run the method of a search, or the polish of a node, and return the record."""
     if item.neighbours is None:
         return run_method(item.method, record, item.rng)
@@ -214,7 +214,7 @@ def run_search(item: Search, record: Record) -> Record:
     return record
 
 
-def result_of(record: Record, space: SearchSpace, only: int | None = None) -> SearchResult:
+def result_of(record: SearchRecord, space: SearchSpace, only: int | None = None) -> SearchResult:
     """Return the evaluated gains with their fitness, the best first; or those of one index."""
     chosen = np.argsort(record.fitness, kind="stable") if only is None else [only]
     rows = space.gains_at(record.positions[chosen])

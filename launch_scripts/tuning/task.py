@@ -134,7 +134,7 @@ class Search(NamedTuple):
     nodes: tuple[Node, ...]
     space: SearchSpace
     method: str
-    """Key of METHODS."""
+    """Key of SEARCH_METHODS."""
     evaluations: int
     """Largest number of gain sets that are evaluated."""
     generation: int
@@ -178,7 +178,7 @@ class TuningTask(NamedTuple):
     """Lateral references of the table [m]."""
     space: SearchSpace
     method: str
-    """Key of METHODS."""
+    """Key of SEARCH_METHODS."""
     evaluations: int
     """Number of gain sets that are evaluated at each node."""
     generation: int
@@ -369,7 +369,7 @@ PRESETS = {
     ),
 }
 """Default task of each formulation; its space holds the fixed gains."""
-PARTICLES, GENERATIONS = 20, 15
+LITERAL_PARTICLES, LITERAL_GENERATIONS = 20, 15
 """Table 2 of the paper: defaults of the method LITERAL."""
 
 
@@ -419,8 +419,8 @@ def read_budget(chosen: argparse.Namespace, preset: TuningTask) -> tuple[int, in
         raise ValueError(
             f"--evaluations: is no option of --method {LITERAL}, which has --particles"
         )
-    particles = PARTICLES if sizes["particles"] is None else sizes["particles"]
-    generations = GENERATIONS if sizes["generations"] is None else sizes["generations"]
+    particles = LITERAL_PARTICLES if sizes["particles"] is None else sizes["particles"]
+    generations = LITERAL_GENERATIONS if sizes["generations"] is None else sizes["generations"]
     check_range("particles", particles, number(2, 1_000_000))
     check_range("generations", generations, number(1, 1_000_000))
     return particles * (generations + 1), particles

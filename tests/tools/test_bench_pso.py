@@ -49,7 +49,7 @@ from launch_scripts.study.pso_tuning import (
     tuning_tables,
 )
 from launch_scripts.tune import build_parser
-from launch_scripts.tuning.methods import Record, run_method
+from launch_scripts.tuning.methods import SearchRecord, run_method
 from launch_scripts.tuning.task import TABLE_SEARCH, read_task
 
 GAP = 0.062
@@ -209,5 +209,7 @@ def test_a_curve_of_the_tuner_is_the_fitness_of_its_best_gains(problem: TuningPr
     assert np.all(np.diff(curve) <= 0.0)
     task = read_task(build_parser().parse_args(problem.options))
     search = task.search(TABLE_SEARCH, 1, 0, tuple(task.nodes()), 12)
-    record = run_method("random", Record(search.cost, search.space.dimensions, 12), search.rng)
+    record = run_method(
+        "random", SearchRecord(search.cost, search.space.dimensions, 12), search.rng
+    )
     assert curve[-1] == record.best[1]

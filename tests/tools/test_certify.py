@@ -39,12 +39,11 @@ from launch_scripts.certifying.linear_loop import (
     spectral_radius,
     time_constant,
 )
+from launch_scripts.certifying.margins import last_settling, margins
 from launch_scripts.certifying.measurements import (
     GainStepMeter,
     disturbances,
     gain_steps,
-    last_settling,
-    margins,
     time_constants,
 )
 from launch_scripts.certifying.page import bounds_table, results_table

@@ -9,7 +9,7 @@ import pytest
 
 from ampc_ros.mpc.gain_table import load_gain_table
 from launch_scripts.study import shipped_tables
-from launch_scripts.study.shipped_tables import Judged, judge, judged_tables, main, task_of
+from launch_scripts.study.shipped_tables import Judged, judged_table, judged_tables, main, task_of
 from launch_scripts.tuning.fitness import JUDGED, fitness
 
 
@@ -26,7 +26,7 @@ class Immediate:
 
 
 def example() -> Judged:
-    return judge("preview_ordinary", Immediate())  # type: ignore[arg-type]
+    return judged_table("preview_ordinary", Immediate())  # type: ignore[arg-type]
 
 
 def test_every_tuned_table_of_the_default_formulation_is_judged() -> None:
@@ -65,7 +65,7 @@ def test_the_page_has_a_row_a_verdict_and_a_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shipped_tables, "judged_tables", lambda: ["preview_ordinary"])
-    monkeypatch.setattr(shipped_tables, "judge", lambda name, pool: example())
+    monkeypatch.setattr(shipped_tables, "judged_table", lambda name, pool: example())
     assert main(["--update", str(tmp_path / "page.md"), "--workers", "1"]) == 0
     text = (tmp_path / "page.md").read_text()
     proof = json.loads(shipped_tables.proof_file("preview_ordinary").read_text())

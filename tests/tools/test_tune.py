@@ -20,7 +20,7 @@ from ampc_ros.mpc.gain_table import gain_table, load_gain_table
 from launch_scripts.certify import certify_parser
 from launch_scripts.tune import build_parser, main
 from launch_scripts.tuning.fitness import fitness
-from launch_scripts.tuning.methods import Record
+from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.report import Candidate, TuningReport
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
 from launch_scripts.tuning.task import Search, read_task
@@ -146,14 +146,14 @@ def test_a_disk_that_fills_up_loses_no_checkpoint_and_gives_one_error_line(
     assert tuned(tmp_path / "cut.yaml", "--evaluations", "20", "--resume") == whole
 
 
-def searched(workers: Workers, folder: Path, show: Callable[[Search, Record], None]) -> Any:
+def searched(workers: Workers, folder: Path, show: Callable[[Search, SearchRecord], None]) -> Any:
     """Run the searches of a small task."""
     task = read_task(build_parser().parse_args([*SMALL, "--evaluations", "24"]))
     checkpoints = Checkpoints(folder)
     return run_searches(task.searches(), workers, checkpoints, show)
 
 
-def ignore(search: Search, record: Record) -> None:
+def ignore(search: Search, record: SearchRecord) -> None:
     """Ignore the progress."""
 
 
@@ -186,7 +186,7 @@ def test_a_cluster_whose_worker_is_killed_finds_the_same_bit_for_bit(
         assert len(set(client.run(source_hash).values())) == 1
         seen: list[int] = []
 
-        def kill_one(search: Search, record: Record) -> None:
+        def kill_one(search: Search, record: SearchRecord) -> None:
             seen.append(len(record.fitness))
             if len(seen) == 8:
                 os.kill(pids[0], signal.SIGKILL)
@@ -202,7 +202,7 @@ def test_lost_workers_give_one_error_line(tmp_path: Path) -> None:
     with open_workers(1, processes=True) as workers:
         pid = workers.executor.submit(os.getpid).result()
 
-        def kill(search: Search, record: Record) -> None:
+        def kill(search: Search, record: SearchRecord) -> None:
             os.kill(pid, signal.SIGKILL)
             time.sleep(0.2)
 

@@ -10,7 +10,7 @@ import pytest
 
 from ampc_msgs_config.types import Array
 from launch_scripts.tune import build_parser, command_of, main
-from launch_scripts.tuning.methods import Record
+from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
     DEFAULT_BOUNDS,
@@ -30,10 +30,10 @@ def task(*words: str):  # type: ignore[no-untyped-def]
     return read_task(build_parser().parse_args(words))
 
 
-def record() -> Record:
+def record() -> SearchRecord:
     """Return the evaluations of a search in which some cars are lost."""
     where = search_space({"R": (1.0, 100.0)}, FIXED).dimensions
-    result = Record(lambda x: np.where(x[:, 0] < 1.0, x[:, 0] / 3.0, np.inf), where, 9)
+    result = SearchRecord(lambda x: np.where(x[:, 0] < 1.0, x[:, 0] / 3.0, np.inf), where, 9)
     unit: Array = np.array([[k / 10.0] for k in range(1, 9)])
     result(unit)
     return result

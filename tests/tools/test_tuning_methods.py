@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from ampc_msgs_config.types import Array
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.pso.swarm import Dimension
-from launch_scripts.tuning.methods import METHODS, Record, has_cma, polish, run_method
+from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord, has_cma, polish, run_method
 from launch_scripts.tuning.smoothness import jump_penalty, smoothest
 
 BOUNDS = [Dimension("pole", -2.0, 2.0), Dimension("weight", 0.0, 50.0)]
-INSTALLED = [name for name in METHODS if name != "cma" or has_cma()]
+INSTALLED = [name for name in SEARCH_METHODS if name != "cma" or has_cma()]
 
 
 def two_valleys(x: Array) -> Array:
@@ -25,8 +25,10 @@ def two_valleys(x: Array) -> Array:
     return np.asarray(np.minimum(1.0 + deep, 1.3 + 0.5 * flat))
 
 
-def searched(name: str, budget: int, seed: int = 1) -> Record:
-    return run_method(name, Record(two_valleys, BOUNDS, budget, 8), np.random.default_rng(seed))
+def searched(name: str, budget: int, seed: int = 1) -> SearchRecord:
+    return run_method(
+        name, SearchRecord(two_valleys, BOUNDS, budget, 8), np.random.default_rng(seed)
+    )
 
 
 @pytest.mark.parametrize("name", INSTALLED)
@@ -49,7 +51,7 @@ def test_a_search_that_knows_its_first_evaluations_does_not_repeat_them(name: st
         return two_valleys(x)
 
     known = whole.positions[:41], whole.fitness[:41]
-    record = Record(counted, BOUNDS, 60, 8, known)
+    record = SearchRecord(counted, BOUNDS, 60, 8, known)
     again = run_method(name, record, np.random.default_rng(1))
     np.testing.assert_array_equal(again.positions, whole.positions)
     assert asked[0] <= len(whole.fitness) - 41 + 8
@@ -64,12 +66,12 @@ def test_the_adapted_swarm_finds_the_deeper_valley_from_every_seed() -> None:
 
 def test_a_cost_without_any_finite_value_ends_the_search() -> None:
     for name in INSTALLED:
-        record = Record(lambda x: np.full(len(x), np.nan), BOUNDS, 40, 8)
+        record = SearchRecord(lambda x: np.full(len(x), np.nan), BOUNDS, 40, 8)
         assert math.isinf(run_method(name, record, np.random.default_rng(1)).best[1])
 
 
 def test_a_polish_reaches_the_minimum_of_a_quadratic_within_its_limit() -> None:
-    record = Record(
+    record = SearchRecord(
         lambda x: 1.0 + np.sum((x - [0.5, 20.0]) ** 2 / [1.0, 400.0], axis=1), BOUNDS, 99
     )
     polish(record, np.array([0.55, 0.5]), 60)
@@ -80,7 +82,7 @@ def test_a_polish_reaches_the_minimum_of_a_quadratic_within_its_limit() -> None:
 def test_whole_numbers_reach_the_cost_rounded() -> None:
     where = [Dimension("n", 1, 9, integer=True), Dimension("x", 0.0, 1.0)]
     seen: list[Array] = []
-    record = Record(lambda x: seen.append(x) or np.sum(x, axis=1), where, 30)  # type: ignore[func-returns-value]
+    record = SearchRecord(lambda x: seen.append(x) or np.sum(x, axis=1), where, 30)  # type: ignore[func-returns-value]
     run_method("pso", record, np.random.default_rng(1))
     assert all(float(value).is_integer() for x in seen for value in x[:, 0])
 

@@ -13,7 +13,7 @@ from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.scenarios.scenario import load_scenario
 from ampc_msgs_config.types import Array
 from launch_scripts.certifying.linear_loop import delay_margin
-from launch_scripts.certifying.measurements import Drives, delay_margins, has_settled
+from launch_scripts.certifying.margins import Drives, delay_margins, has_settled
 from launch_scripts.tuning.drives import straight
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, LOGGED
 from sim_vehicle.closed_loop import Simulation, drive

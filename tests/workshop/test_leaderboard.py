@@ -63,7 +63,7 @@ class Recorder:
         self.got: list[tuple[VehicleState, int]] = []
 
     def command(self, state: VehicleState, now_ns: int) -> float:
-        """Record state and time."""
+        """SearchRecord state and time."""
         self.got.append((state, now_ns))
         return 0.0
 

@@ -14,7 +14,8 @@ import numpy as np
 from ampc_msgs_config.types import Array
 from ampc_ros.configuration import Choices
 from launch_scripts.certifying.linear_loop import delay_margin, spectral_radius
-from launch_scripts.certifying.measurements import Drives, delay_margins, error_of
+from launch_scripts.certifying.margins import Drives, delay_margins
+from launch_scripts.certifying.measurements import error_of
 from launch_scripts.certifying.subject import Subject, load_subject
 from tests.workshop.acceptance.trials import OTHER_TABLES
 

@@ -74,7 +74,7 @@ def circuit(transition: float, bends: Sequence[tuple[float, float, float]]) -> A
         bend = np.full(count, angle / (max(count, 1) * FINE))
         pieces += [np.zeros(round(straight / FINE)), bend]
     half = np.concatenate(pieces)
-    lap = np.tile(half, 2)
+    lap = np.roll(np.tile(half, 2), -round(bends[0][0] / 2.0 / FINE))  # begins on a straight
     window = np.ones(round(transition / 2.0 / FINE))
     for _ in range(2):  # means around the closed lap; the angles stay
         spread = np.zeros(len(lap))
