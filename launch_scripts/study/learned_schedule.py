@@ -34,12 +34,18 @@ from sim_vehicle.closed_loop import drive
 
 VEHICLES = ("ordinary", "paper")
 """Shipped cars that are compared."""
-SEED = "1"
+SCHEDULE_SEED = "1"
 """Seed of the searches and fits."""
 DEFAULT_SAVING = 0.05
 """Saving against the table from which a schedule would become the default."""
-HEADINGS = ("car", "gains", "mean", "saves against the table", "worst speed against the table")
-INTRODUCTION = """\
+SCHEDULE_HEADINGS = (
+    "car",
+    "gains",
+    "mean",
+    "saves against the table",
+    "worst speed against the table",
+)
+PAGE_START = """\
 # Learned schedule of the gains
 
 A gain file of the controller `preview` may hold a `schedule`: a neural network with one hidden
@@ -67,8 +73,6 @@ the choice among their candidates keeps neighbouring speeds similar as for a tab
 `least_squares` fits the parameters. A table has 10 searches, so a schedule costs about six times as
 many drives: a straight situation has 14 drives, each other one 11, a node of the table 18.
 
-"""
-MEASUREMENT = """\
 ## Measurement
 
 Fitness on the 14 held-out plants (see the [rule](table_rule.md)), geometric mean over the speeds
@@ -130,7 +134,7 @@ def judge_at(node: Node, table: GainTable) -> float:
     return float(fitness_of_log(node, np.array(logs)[None])[0])
 
 
-def judge(name: str, table: GainTable, task: TuningTask) -> DrivenGains:
+def judge_gains(name: str, table: GainTable, task: TuningTask) -> DrivenGains:
     """Drive the held-out plants at the speeds between the nodes."""
     nodes = [node._replace(kind=JUDGED) for node in task.held_out_nodes()]
     return DrivenGains(name, np.array([judge_at(node, table) for node in nodes]))
@@ -199,21 +203,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen, console = parser.parse_args(arguments), Console(highlight=False, soft_wrap=True)
     rows, verdicts = [], []
     for vehicle in chosen.vehicles:
-        task = read_task(build_parser().parse_args(["--vehicle", vehicle, "--seeds", SEED]))
+        task = read_task(
+            build_parser().parse_args(["--vehicle", vehicle, "--seeds", SCHEDULE_SEED])
+        )
         tables = tuned_tables(vehicle, task)
         learned = learn_both(task, chosen.folder / vehicle, console)
         for kind, item in learned.items():
             tables[kind] = GainTable([task.speeds[0]], [0.0], [item.single], item.schedule)
             verdicts.append(f"* `{vehicle}`, {kind}: residual {item.residual:.2f}.")
-        candidates = [judge(name, table, task) for name, table in tables.items()]
+        candidates = [judge_gains(name, table, task) for name, table in tables.items()]
         rows += table_rows(vehicle, candidates)
         console.print("\n".join(map(" | ".join, table_rows(vehicle, candidates))), markup=False)
         verdicts.append(verdict(vehicle, candidates))
-    lines = [*markdown_table(HEADINGS, rows, "llr"), "", *verdicts]
+    lines = [*markdown_table(SCHEDULE_HEADINGS, rows, "llr"), "", *verdicts]
     console.print("\n".join(lines), markup=False)
     command = "`python -m launch_scripts.study.learned_schedule --update FILE`"
     chosen.update.parent.mkdir(parents=True, exist_ok=True)
-    text = "\n".join([INTRODUCTION + MEASUREMENT, *lines, "", f"Command: {command}.", ""])
+    text = "\n".join([PAGE_START, *lines, "", f"Command: {command}.", ""])
     chosen.update.write_text(text, encoding="utf-8")
     return 0
 

@@ -25,7 +25,7 @@ from launch_scripts.tuning.drives import (
     PLANTS,
     ROADS,
     SETTLING_DEADLINE,
-    STRAIGHT,
+    STRAIGHT_CURVATURE,
     Plant,
     lane_change,
     nominal_vehicle,
@@ -117,10 +117,10 @@ def fitness(node: Node, gains: Sequence[Gains] | Array) -> Array:
 def occurs(plant: Plant, curvature: float) -> bool:
     """Return whether a plant belongs to a situation: known latency is part of its vehicle.
 
-    A straight road is joined where the curvature is at most STRAIGHT.
+    A straight road is joined where the curvature is at most STRAIGHT_CURVATURE.
     """
     is_own = plant.known_delay == plant.known_lag == 0.0
-    return is_own and (plant.road == "lane change" or curvature <= STRAIGHT)
+    return is_own and (plant.road == "lane change" or curvature <= STRAIGHT_CURVATURE)
 
 
 def is_accepted(node: Node, row: Array) -> bool:

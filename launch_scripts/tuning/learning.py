@@ -30,7 +30,7 @@ from ampc_ros.mpc.gain_schedule import (
     scale_inputs,
 )
 from ampc_ros.mpc.gain_table import Gains
-from launch_scripts.tuning.drives import CURVATURE, LANE_CHANGE_ACCELERATION, STRAIGHT
+from launch_scripts.tuning.drives import CURVATURE, LANE_CHANGE_ACCELERATION, STRAIGHT_CURVATURE
 from launch_scripts.tuning.fitness import SITUATION, Node
 from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.search import Checkpoints, SearchResult, run_searches
@@ -44,11 +44,11 @@ ADDED_LATENCIES = (0.0, 0.1, 0.2)
 """Delays of the situations in addition to the latency of the vehicle [s]."""
 SHARES = (0.0, 1.0 / 3.0, 1.0)
 """Curvatures of the situations, relative to that of the lane change of the fitness."""
-NEURONS, RULES = 6, 3
+NEURONS, RULE_COUNT = 6, 3
 """Sizes of the two kinds."""
 WIDTHS = (0.6, 4.0)
 """Bounds of the widths of memberships; the inputs span 2. Narrower ones interpolate badly."""
-STARTS = 3
+FIT_STARTS = 3
 """Random starts of a fit; the one with the smallest residual is used."""
 POLE_ERROR, WEIGHT_ERROR = 0.1, 0.5
 """Errors of the pole and of log10 R that count the same."""
@@ -56,9 +56,9 @@ SHRINKAGE = 0.02
 """Weight of the parameters themselves in the residual, which keeps them small."""
 LARGEST = 20.0
 """Bound of the parameters."""
-MOST_STEPS = 60
+MOST_FIT_STEPS = 60
 """Largest number of steps of a fit."""
-DIGITS = 6
+PARAMETER_DIGITS = 6
 """Significant digits of a parameter in the file."""
 
 
@@ -91,7 +91,7 @@ def situations(task: TuningTask) -> list[tuple[Situation, Node]]:
             steering = node.vehicle.steering
             delayed = replace(steering, delay=steering.delay + added)
             bend = min(LANE_CHANGE_ACCELERATION / node.speed**2, CURVATURE)
-            curvature = max(share * bend, STRAIGHT)
+            curvature = max(share * bend, STRAIGHT_CURVATURE)
             latency = delayed.delay + delayed.time_constant
             vehicle = node.vehicle._replace(steering=delayed)
             node = node._replace(vehicle=vehicle, kind=SITUATION, curvature=curvature)
@@ -151,8 +151,8 @@ def make_network(parameters: Array, ends: Mapping[str, Any]) -> Network:
 
 
 def make_anfis(parameters: Array, ends: Mapping[str, Any]) -> Anfis:
-    """Return the ANFIS with some parameters (14 RULES,) and ranges; widths are exponents."""
-    rows: Any = parameters.reshape(RULES, 14).tolist()
+    """Return the ANFIS with some parameters (14 RULE_COUNT,) and ranges; widths are exponents."""
+    rows: Any = parameters.reshape(RULE_COUNT, 14).tolist()
     rules = tuple(
         FuzzyRule(
             centre=row[:3],
@@ -179,7 +179,7 @@ def fit_schedule(kind: str, targets: Sequence[Target], seed: int) -> tuple[GainS
     """
     make: Any = make_network if kind == "network" else make_anfis
     outputs: Any = network_outputs if kind == "network" else anfis_outputs
-    size = 6 * NEURONS + 2 if kind == "network" else 14 * RULES
+    size = 6 * NEURONS + 2 if kind == "network" else 14 * RULE_COUNT
     ends = ranges(targets)
     wanted = [(t.gains.laguerre_pole, math.log10(t.gains.increment_weight)) for t in targets]
     inputs = [scale_inputs(make(np.zeros(size), ends), target.situation) for target in targets]
@@ -194,11 +194,11 @@ def fit_schedule(kind: str, targets: Sequence[Target], seed: int) -> tuple[GainS
 
     least_squares: Any = optimize.least_squares  # mypy takes it for a module
     rng = np.random.default_rng(seed)
-    starts = [0.5 * rng.standard_normal(size) for _ in range(STARTS)]
-    fits = [least_squares(residuals, x, bounds=(-LARGEST, LARGEST), max_nfev=MOST_STEPS)
+    starts = [0.5 * rng.standard_normal(size) for _ in range(FIT_STARTS)]
+    fits = [least_squares(residuals, x, bounds=(-LARGEST, LARGEST), max_nfev=MOST_FIT_STEPS)
             for x in starts]  # fmt: skip
     best = min(fits, key=lambda each: float(each.cost)).x
-    rounded = np.array([float(f"{each:.{DIGITS}g}") for each in best])
+    rounded = np.array([float(f"{each:.{PARAMETER_DIGITS}g}") for each in best])
     return make(rounded, ends), float(np.sqrt(np.mean(errors(rounded) ** 2)))
 
 

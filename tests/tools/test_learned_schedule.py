@@ -13,7 +13,7 @@ from launch_scripts import tune
 from launch_scripts.study import learned_schedule
 from launch_scripts.study.learned_schedule import DrivenGains, judge_at, main, verdict
 from launch_scripts.tuning import learning
-from launch_scripts.tuning.drives import STRAIGHT
+from launch_scripts.tuning.drives import STRAIGHT_CURVATURE
 from launch_scripts.tuning.fitness import JUDGED, fitness
 from launch_scripts.tuning.learning import KINDS, Learned, Target, fit_schedule, situations
 from launch_scripts.tuning.task import read_task
@@ -41,8 +41,8 @@ def gains_at(v: float, curvature: float, latency: float) -> Gains:
 def test_a_fit_meets_smooth_targets_and_repeats_bit_for_bit(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learning, "STARTS", 1)
-    monkeypatch.setattr(learning, "MOST_STEPS", 12)
+    monkeypatch.setattr(learning, "FIT_STARTS", 1)
+    monkeypatch.setattr(learning, "MOST_FIT_STEPS", 12)
     schedule, residual = fit_schedule(kind, targets(), 1)
     assert isinstance(schedule, Network if kind == "network" else Anfis)
     assert residual < 0.1
@@ -65,16 +65,22 @@ def test_situations_cover_straight_and_bent_roads_at_all_speeds_with_the_trainin
     assert len(places) == 9 * len(TASK.speeds)
     for situation, node in places:
         names = {plant.road for plant in node.plants}
-        assert names == {"lane change", "joining"} if situation.curvature <= STRAIGHT else names
+        assert (
+            names == {"lane change", "joining"}
+            if situation.curvature <= STRAIGHT_CURVATURE
+            else names
+        )
         assert all(plant.known_delay == plant.known_lag == 0.0 for plant in node.plants)
-        assert situation.curvature <= max(2.5 / situation.speed**2, STRAIGHT) * (1 + 1e-12)
+        assert situation.curvature <= max(2.5 / situation.speed**2, STRAIGHT_CURVATURE) * (
+            1 + 1e-12
+        )
     assert {round(at.latency, 9) for at, _ in places} == {0.0, 0.1, 0.2}
 
 
 def test_the_command_writes_a_file_that_loads_and_states_its_origin(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for key, value in {"STARTS": 1, "MOST_STEPS": 3, "ADDED_LATENCIES": (0.0, 0.1)}.items():
+    for key, value in {"FIT_STARTS": 1, "MOST_FIT_STEPS": 3, "ADDED_LATENCIES": (0.0, 0.1)}.items():
         monkeypatch.setattr(learning, key, value)
     monkeypatch.setattr(learning, "SHARES", (1.0,))
     file = tmp_path / "mine.yaml"
@@ -119,8 +125,8 @@ def test_a_schedule_becomes_the_default_only_if_it_saves_enough() -> None:
 def test_the_page_has_a_row_for_each_candidate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learning, "STARTS", 1)
-    monkeypatch.setattr(learning, "MOST_STEPS", 1)
+    monkeypatch.setattr(learning, "FIT_STARTS", 1)
+    monkeypatch.setattr(learning, "MOST_FIT_STEPS", 1)
     fitted = {kind: fit_schedule(kind, targets(), 1) for kind in KINDS}
     single = gains_at(9.0, 0.01, 0.0)
     learned = {
@@ -129,7 +135,7 @@ def test_the_page_has_a_row_for_each_candidate(
     monkeypatch.setattr(learned_schedule, "learn_both", lambda *_: learned)
     fake = {"single": 1.1, "table": 1.0, "network": 1.02, "anfis": 0.99}
     judged = lambda name, table, task: DrivenGains(name, np.full(9, fake[name]))  # noqa: E731
-    monkeypatch.setattr(learned_schedule, "judge", judged)
+    monkeypatch.setattr(learned_schedule, "judge_gains", judged)
     page = tmp_path / "page.md"
     assert main(["--update", str(page), "--vehicles", "paper"]) == 0
     text = page.read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ import msgspec
 
 from ampc_msgs_config.validation import Checked, described, number
 
-CURVATURE_TIME = 2.0
+CURVATURE_PREVIEW = 2.0
 """Time over which the largest curvature ahead is taken [s]."""
 Coefficient = Annotated[float, number(-1.0e6, 1.0e6)]
 Affine = tuple[Coefficient, Coefficient, Coefficient, Coefficient]
@@ -35,7 +35,7 @@ class Situation(NamedTuple):
     speed: float
     """[m/s]."""
     curvature: float
-    """Largest |curvature| of the path over CURVATURE_TIME [1/m]."""
+    """Largest |curvature| of the path over CURVATURE_PREVIEW [1/m]."""
     latency: float
     """Delay and lag of the steering in the internal model [s]."""
 

@@ -14,7 +14,7 @@ from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.controller_interface import Controller, Estimates
-from ampc_ros.mpc.gain_schedule import CURVATURE_TIME, GainSchedule, Situation, scheduled_gains
+from ampc_ros.mpc.gain_schedule import CURVATURE_PREVIEW, GainSchedule, Situation, scheduled_gains
 from ampc_ros.mpc.gain_table import GainTable, Table
 from ampc_ros.mpc.internal_model import (
     ACTUATOR,
@@ -149,7 +149,7 @@ class PreviewMpc(Controller):
         is returned as it is.
         """
         ticks, share, lag = self.model.actuator
-        curvature = curvature_ahead(path, int(self.memory[INDEX]), CURVATURE_TIME * v_x)
+        curvature = curvature_ahead(path, int(self.memory[INDEX]), CURVATURE_PREVIEW * v_x)
         situation = Situation(v_x, curvature, (ticks + share) * self.period + lag)
         gains = scheduled_gains(schedule, situation)
         if gains is None:
