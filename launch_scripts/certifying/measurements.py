@@ -14,6 +14,7 @@ from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile
 from ampc_msgs_config.types import Array, Plan, VehicleState
 from ampc_ros.mpc.gain_table import Gains, GainTable
+from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.certifying.linear_loop import (
     CertifiedController,
     spectral_radius,
@@ -266,6 +267,8 @@ class GainStepMeter:
         gains = gains_in_use(plan)
         if self.gains and gains and gains != self.gains:
             other.table = GainTable([state.v_x], [0.0], [self.gains]).table
+            if isinstance(other, PreviewMpc):
+                other.schedule = None
             change = abs(plan.steering - other.step(state, path).steering)
             self.steps.append((state.v_x, change))
         self.gains = gains

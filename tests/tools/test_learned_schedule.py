@@ -116,9 +116,9 @@ def test_drives_in_python_have_the_fitness_of_the_fleet() -> None:
 
 def test_a_schedule_becomes_the_default_only_if_it_saves_enough() -> None:
     values = {"single": 1.2, "table": 1.0, "network": 0.96, "anfis": 1.1}
-    driven = [DrivenGains(name, np.full(3, value)) for name, value in values.items()]
+    driven = [DrivenGains(name, np.full(3, value), 0.0) for name, value in values.items()]
     assert "network saves 4.0% against the table: it stays an option" in verdict("x", driven)
-    driven[2] = DrivenGains("network", np.array([0.9, 0.95, 0.99]))
+    driven[2] = DrivenGains("network", np.array([0.9, 0.95, 0.99]), 0.0)
     assert "it becomes the default" in verdict("x", driven)
 
 
@@ -134,7 +134,7 @@ def test_the_page_has_a_row_for_each_candidate(
     }
     monkeypatch.setattr(learned_schedule, "learn_both", lambda *_: learned)
     fake = {"single": 1.1, "table": 1.0, "network": 1.02, "anfis": 0.99}
-    judged = lambda name, table, task: DrivenGains(name, np.full(9, fake[name]))  # noqa: E731
+    judged = lambda name, table, task: DrivenGains(name, np.full(9, fake[name]), 0.0)  # noqa: E731
     monkeypatch.setattr(learned_schedule, "judge_gains", judged)
     page = tmp_path / "page.md"
     assert main(["--update", str(page), "--vehicles", "paper"]) == 0
