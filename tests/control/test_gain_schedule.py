@@ -11,6 +11,7 @@ import yaml
 
 from ampc_msgs_config.config import find
 from ampc_msgs_config.paths.path import NOT_CAUGHT
+from ampc_msgs_config.paths.path import Path as RoadPath
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import Array, VehicleState
 from ampc_msgs_config.vehicle_file import read_vehicle
@@ -27,7 +28,7 @@ from ampc_ros.mpc.gain_schedule import (
     scheduled_gains,
 )
 from ampc_ros.mpc.gain_table import Gains, gain_table, load_gain_table
-from ampc_ros.preview.controller import PreviewMpc, curvature_ahead
+from ampc_ros.preview.controller import PreviewMpc, approach, curvature_ahead
 from ampc_ros.supervision.health import health
 from ampc_ros.supervision.supervisor import Supervisor
 from launch_scripts.certifying.subject import load_subject
@@ -178,27 +179,42 @@ def test_a_constant_schedule_drives_like_the_single_set_bit_for_bit(kind: str) -
     assert actual.states == single.states
 
 
-def test_gains_follow_speed_curvature_and_latency_of_the_tick() -> None:
+def settled_gains(controller: PreviewMpc, path: RoadPath, s: float, tick: int) -> tuple[float, ...]:
+    """Return pole and R after 10 s at the same place, and the index of the projection."""
+    for i in range(100):
+        state = VehicleState((tick + i) * 10**8, s, 0.0, 0.0, 9.0, 0.0, 0.0)
+        plan = controller.step(state, path)
+    used = plan.diagnosis
+    return used.laguerre_pole, used.increment_weight, controller.memory[0]
+
+
+def test_gains_settle_at_those_of_speed_curvature_and_latency() -> None:
     content = random_schedule("network", 5, 0.4)
     controller, schedule = preview_with(content), built(content)
-    path = make_path(scenario_of("sc1").points)
-    s = 20.0
-    controller.step(VehicleState(0, s, 0.0, 0.0, 9.0, 0.0, 0.0), path)
-    plan = controller.step(VehicleState(10**8, s + 0.9, 0.0, 0.0, 9.0, 0.0, 0.0), path)
-    index = round((s + 1.6) / path.spacing)  # the centre of gravity at the step before
-    ahead = path.curvature[index : index + int(18.0 / path.spacing) + 1]
-    wanted = scheduled_gains(schedule, Situation(9.0, float(np.abs(ahead).max()), 0.0))
-    assert wanted
-    assert plan.diagnosis.laguerre_pole == wanted.laguerre_pole
-    assert plan.diagnosis.increment_weight == wanted.increment_weight
-    car = assumed_car(config_with(None))
-    controller.use_car(car._replace(response=car.response._replace(delay=0.13, lag=0.05)))
-    plan = controller.step(VehicleState(2 * 10**8, s + 1.8, 0.0, 0.0, 9.0, 0.0, 0.0), path)
-    index = round((s + 0.9 + 1.6) / path.spacing)
-    ahead = path.curvature[index : index + int(18.0 / path.spacing) + 1]
-    wanted = scheduled_gains(schedule, Situation(9.0, float(np.abs(ahead).max()), 0.18))
-    assert wanted
-    assert plan.diagnosis.laguerre_pole == pytest.approx(wanted.laguerre_pole, rel=1e-12)
+    path, car = make_path(scenario_of("sc1").points), assumed_car(config_with(None))
+    for i, (delay, lag) in enumerate([(0.0, 0.0), (0.13, 0.05)]):
+        controller.use_car(car._replace(response=car.response._replace(delay=delay, lag=lag)))
+        pole, R, index = settled_gains(controller, path, 20.0, 200 * i)
+        ahead = path.curvature[int(index) : int(index) + int(18.0 / path.spacing) + 1]
+        at = Situation(9.0, float(np.abs(ahead).max()), delay + lag)
+        assert at.curvature > 1.0e-3
+        assert (pole, R) == pytest.approx(scheduled_gains(schedule, at), rel=1e-6)
+
+
+def test_gains_never_jump_and_approach_a_new_situation_exponentially() -> None:
+    content = random_schedule("anfis", 2, 1.0)
+    controller = preview_with(content)
+    driven = []
+    for side in range(60):
+        path = make_path(scenario_of("sc1" if side % 20 < 10 else "circle").points)
+        state = VehicleState(side * 10**8, 20.0, 0.0, 0.0, 9.0, 0.0, 0.0)
+        used = controller.step(state, path).diagnosis
+        driven.append((used.laguerre_pole, math.log10(used.increment_weight)))
+    share = 1.0 - math.exp(-0.1 / 0.5)
+    steps = np.abs(np.diff(driven, axis=0)).max(axis=0)
+    assert np.all(steps <= share * np.array([0.85 - 0.1, 5.0]))
+    assert approach((0.2, 10.0), (0.6, 1000.0), 0.5 * math.log(2.0)) == pytest.approx((0.4, 100.0))
+    assert approach((0.3, 77.7), (0.3, 77.7), 0.1) == (0.3, 77.7)
 
 
 def test_before_the_first_projection_the_gains_are_those_of_the_set() -> None:

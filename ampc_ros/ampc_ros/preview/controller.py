@@ -45,11 +45,17 @@ from ampc_ros.preview.tick import (
     store_command,
 )
 
+SCHEDULE_LAG = 0.5
+"""Time constant of scheduled gains: without it the command jumps where a bend comes into view [s].
+"""
+
 
 class PreviewMpc(Controller):
     """Adaptive MPC in path coordinates, the default."""
 
     formulation = "preview"
+    scheduled: tuple[float, float] | None = None
+    """Pole and increment weight of the last tick with a learned schedule."""
 
     def __init__(
         self,
@@ -91,6 +97,8 @@ class PreviewMpc(Controller):
         self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
+        if self.schedule:
+            self.scheduled = None
 
     @property
     def estimates(self) -> Estimates:
@@ -143,20 +151,20 @@ class PreviewMpc(Controller):
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
     def scheduled_table(self, schedule: GainSchedule, v_x: float, path: Path) -> tuple[Table, bool]:
-        """Return the single node with the gains of a schedule, and whether the speed is outside.
+        """Return a single node with scheduled gains, and whether the speed is outside their range.
 
-        Where an input is not finite, such as the curvature before the first projection, the node
-        is returned as it is.
+        Where an input is not finite, such as the curvature before the first projection, the gains
+        are those of the set. They follow any change with SCHEDULE_LAG.
         """
         ticks, share, lag = self.model.actuator
         curvature = curvature_ahead(path, int(self.memory[INDEX]), CURVATURE_PREVIEW * v_x)
         situation = Situation(v_x, curvature, (ticks + share) * self.period + lag)
-        gains = scheduled_gains(schedule, situation)
-        if gains is None:
-            return self.table, False
-        (horizon, moves, terms, _, Q, _), (low, high) = self.table.nodes[0], schedule.speed
-        node = (horizon, moves, terms, gains.laguerre_pole, Q, gains.increment_weight)
-        return self.table._replace(nodes=np.array([node])), not low <= v_x <= high
+        horizon, moves, terms, pole, Q, R = self.table.nodes[0].tolist()
+        target = scheduled_gains(schedule, situation) or (pole, R)
+        self.scheduled = approach(self.scheduled or target, target, self.period)
+        node = (horizon, moves, terms, self.scheduled[0], Q, self.scheduled[1])
+        outside = not schedule.speed[0] <= v_x <= schedule.speed[1]
+        return self.table._replace(nodes=np.array([node])), outside
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Continue from an angle that another source commanded; see `Controller`."""
@@ -211,6 +219,15 @@ class PreviewMpc(Controller):
         reach = (1.0 + ticks + share + lag / self.period) * self.model.limits.Delta_u_max
         self.memory[STATE_DELTA] = angle
         self.memory[-1] = min(max(self.steering, angle - reach), angle + reach)
+
+
+def approach(
+    gains: tuple[float, float], target: tuple[float, float], T: float
+) -> tuple[float, float]:
+    """Return pole and increment weight one tick of T [s] later; the weight in the logarithm."""
+    share = -math.expm1(-T / SCHEDULE_LAG)
+    (pole, R), (new_pole, new_R) = gains, target
+    return pole + share * (new_pole - pole), R * (new_R / R) ** share
 
 
 def curvature_ahead(path: Path, index: int, distance: float) -> float:
