@@ -10,7 +10,7 @@ from ampc_msgs_config.parameters import (
     ControllerSettings,
     SteeringParameters,
 )
-from ampc_msgs_config.paths.path import NOT_CAUGHT, Path
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, advance
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.controller_interface import Controller, Estimates
@@ -45,7 +45,7 @@ from ampc_ros.preview.tick import (
     store_command,
 )
 
-SCHEDULE_LAG = 0.5
+SCHEDULE_LAG = 1.0
 """Time constant of scheduled gains: without it the command jumps where a bend comes into view [s].
 """
 
@@ -137,7 +137,7 @@ class PreviewMpc(Controller):
         points = np.empty((self.horizon, 3))
         table, outside = self.table, False
         if self.schedule:
-            table, outside = self.scheduled_table(self.schedule, state.v_x, path)
+            table, outside = self.scheduled_table(self.schedule, state, path)
         gains, scratch = tuple(table), tuple(self.scratch)
         steering, rate, diagnosis = call_preview_tick(
             self.model_row, gains, tuple(path), tuple(state), elapsed, self.memory, scratch, points
@@ -150,14 +150,18 @@ class PreviewMpc(Controller):
         H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
 
-    def scheduled_table(self, schedule: GainSchedule, v_x: float, path: Path) -> tuple[Table, bool]:
+    def scheduled_table(
+        self, schedule: GainSchedule, state: VehicleState, path: Path
+    ) -> tuple[Table, bool]:
         """Return a single node with scheduled gains, and whether the speed is outside their range.
 
-        Where an input is not finite, such as the curvature before the first projection, the gains
-        are those of the set. They follow any change with SCHEDULE_LAG.
+        Where an input is not finite the gains are those of the set. They follow any change with
+        SCHEDULE_LAG.
         """
-        ticks, share, lag = self.model.actuator
-        curvature = curvature_ahead(path, int(self.memory[INDEX]), CURVATURE_PREVIEW * v_x)
+        (ticks, share, lag), v_x, index = self.model.actuator, state.v_x, int(self.memory[INDEX])
+        if index == NOT_CAUGHT:
+            _, index = advance(path, index, state.x, state.y, state.yaw)
+        curvature = curvature_ahead(path, index, CURVATURE_PREVIEW * v_x)
         situation = Situation(v_x, curvature, (ticks + share) * self.period + lag)
         horizon, moves, terms, pole, Q, R = self.table.nodes[0].tolist()
         target = scheduled_gains(schedule, situation) or (pole, R)
@@ -239,9 +243,9 @@ def curvature_ahead(path: Path, index: int, distance: float) -> float:
         distance: [m].
 
     Returns:
-        nan if the car has not been projected yet, or the distance is not finite.
+        nan if the distance is not finite.
     """
-    if index == NOT_CAUGHT or not math.isfinite(distance):
+    if not math.isfinite(distance):
         return math.nan
     last = len(path.x) - 1
     count = int(min(max(distance / path.spacing, 0.0), last)) + 1
