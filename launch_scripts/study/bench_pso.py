@@ -63,7 +63,7 @@ The paper shows 41 generations, but its Table 2 has G = 15. It states neither a 
 boundary rule. The first row of the last table is the reading that reproduces its numbers. Its
 "improved PSO of [23]" is a swarm with the linear inertia of Eq. (32) only; the adaptive swarm that
 [23] publishes is "Zhan's adaptive" here. In "fitted" swarms the schedule ends with the run (G = 41)
-and velocities are clamped to 0.2 ranges, the settings recommended to users.
+and velocities are clamped to 0.2 ranges. `python -m launch_scripts.study.bench_pso`.
 """
 
 
