@@ -440,8 +440,8 @@ def test_a_path_that_is_sent_again_is_used_at_once_and_another_one_after_it_was_
     world.spin_until(lambda: stamp_in_use() == 4)
     send(STRAIGHT[:-1], 5)
     world.spin_until(lambda: stamp_in_use() == 5)
-    assert node.supervisor.path
-    assert len(node.supervisor.path.value.x) < len(path.value.x)
+    shorter: Any = node.supervisor.path
+    assert len(shorter.value.x) < len(path.value.x)
 
 
 def test_a_large_file_is_loaded_while_the_controller_steers(
