@@ -82,7 +82,7 @@ def positions(data: bytes, start: PathPreamble) -> Array:
     points = np.empty((start.poses, 2))
     if not start.poses:
         return points
-    table = _table(data, start)
+    table = _layout(data, start)
     text = table.frame[4:].rstrip(b"\0").decode(errors="replace")
     if text not in ("", start.frame_id):
         raise NotTabular
@@ -108,8 +108,8 @@ def has_positions_of(data: bytes, other: bytes) -> bool:
         start = preamble(data)
         if preamble(other)[1:] != start[1:] or not start.poses:
             return False
-        table = _table(data, start)
-        if _table(other, start) != table:
+        table = _layout(data, start)
+        if _layout(other, start) != table:
             return False
     except (NotTabular, ValueError):
         return False
@@ -120,7 +120,7 @@ def has_positions_of(data: bytes, other: bytes) -> bool:
     return all(np.array_equal(a[:, column], b[:, column]) for column in columns)
 
 
-class _Table(NamedTuple):
+class _Layout(NamedTuple):
     """Layout of poses in rows of equal length."""
 
     frame: bytes
@@ -131,7 +131,7 @@ class _Table(NamedTuple):
     """Length of the rows of all following poses [bytes]."""
 
 
-def _table(data: bytes, start: PathPreamble) -> _Table:
+def _layout(data: bytes, start: PathPreamble) -> _Layout:
     """Return the layout of at least one pose.
 
     Raises:
@@ -145,10 +145,10 @@ def _table(data: bytes, start: PathPreamble) -> _Table:
     row = _aligned(12 + length, 8) + NUMBERS
     if not 0 <= len(data) - first - NUMBERS - (start.poses - 1) * row < 8:
         raise NotTabular
-    return _Table(data[start.offset + 8 : start.offset + 12 + length], first, row)
+    return _Layout(data[start.offset + 8 : start.offset + 12 + length], first, row)
 
 
-def _rows(data: bytes, start: PathPreamble, table: _Table, kind: Any) -> Any:
+def _rows(data: bytes, start: PathPreamble, table: _Layout, kind: Any) -> Any:
     """Return the poses after the first one as a table of a type that divides 8 bytes."""
     shape = start.poses - 1, table.row // np.dtype(kind).itemsize
     return np.frombuffer(data, kind, shape[0] * shape[1], table.first + NUMBERS).reshape(shape)
