@@ -4,7 +4,7 @@ Booleans are `true` and `false` only. Numbers are decimal, `1e-3` included. `yes
 `0x1F`, `1_0` and dates are text. A key that occurs twice in a mapping is an error.
 
 The content is built in one pass from the events of a parser. With libyaml's parser that takes
-about a second for 5 MB, with PyYAML's own a minute. PyYAML's own is used where libyaml is missing,
+about a second for 5 MB, with PyYAML's own ten. PyYAML's own is used where libyaml is missing,
 and for short texts that libyaml rejects, because its messages quote the line, or may accept by
 mistake.
 
