@@ -144,6 +144,8 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
         report = search_and_prove(task, workers, checkpoints, console)
     console.print(report.screen_table())
     console.print(report.verdict)
+    if report.warning:
+        console.print(f"note: {report.warning}", markup=False)
     origin = provenance(task, report, command_of(chosen))
     proof = json.dumps(report.to_json() | {"task": origin}, indent=1, allow_nan=False)
     first = schema_line(shipped_schema("gains"), output)
