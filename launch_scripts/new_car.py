@@ -21,8 +21,6 @@ from ampc_msgs_config.validation import hints
 from launch_scripts.reporting.pages import terminal_table
 from launch_scripts.run.options import print_vehicle_warnings
 from launch_scripts.templates.vehicle_rules import TYPES, DataSheet, Template, vehicle_template
-from launch_scripts.templates.vehicle_text import spread_text, vehicle_text
-from sim_vehicle.parameters import load_vehicle_file
 
 WRONG = 2
 """Exit code."""
@@ -53,6 +51,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options, console = read_options(arguments), Console(highlight=False, soft_wrap=True)
     words = shlex.join(sys.argv[1:] if arguments is None else arguments)
     file: Path = options.output
+    # These modules load compiled code.
+    from launch_scripts.templates.vehicle_text import vehicle_text
+    from sim_vehicle.parameters import load_vehicle_file
+
     try:
         sheet = DataSheet(**{key: getattr(options, key) for key in hints(DataSheet)})
         template = vehicle_template(sheet, options.type)
@@ -77,6 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def template_rows(template: Template) -> list[tuple[str, str, str]]:
     """Return key, value and spread of the values that the controller and the road use."""
+    from launch_scripts.templates.vehicle_text import spread_text
+
     return [
         (key, f"{value:g}", spread_text(key, spread) if spread is not None else "")
         for section in SHOWN

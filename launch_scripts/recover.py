@@ -14,9 +14,6 @@ from pathlib import Path
 if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
 
-from launch_scripts.bags.bag import reason_of
-from launch_scripts.bags.recovery import default_output, recover
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Recover all bags and return the exit code."""
@@ -28,11 +25,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.output and len(options.bags) > 1:
         parser.error(f"--output is for one bag, not for {len(options.bags)}")
-    return max(recover_bag(bag, options.output or default_output(bag)) for bag in options.bags)
+    return max(recover_bag(bag, options.output) for bag in options.bags)
 
 
-def recover_bag(bag: Path, output: Path) -> int:
-    """Recover one bag, print what came of it, and return the exit code."""
+def recover_bag(bag: Path, chosen: Path | None) -> int:
+    """Recover one bag into the chosen folder, print what came of it, and return the exit code."""
+    from launch_scripts.bags.bag import reason_of
+    from launch_scripts.bags.recovery import default_output, recover
+
+    output = chosen or default_output(bag)
     try:
         print("\n".join(recover(bag, output)))
     except ValueError as error:

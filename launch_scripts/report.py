@@ -10,6 +10,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
@@ -18,9 +19,10 @@ from rich.console import Console
 from rich.text import Text
 
 from ampc_msgs_config.config import find, load
-from launch_scripts.reporting.drive import JudgedDrive, Thresholds, judge_bag, load_car
-from launch_scripts.reporting.page import all_passed, summary_rows, verdict_rows, write_report
 from launch_scripts.reporting.pages import add_format_option, terminal_table
+
+if TYPE_CHECKING:
+    from launch_scripts.reporting.drive import JudgedDrive
 
 FAILED, WRONG = 1, 2
 """Exit codes."""
@@ -50,6 +52,9 @@ def read_report_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read the bags, write page and JSON, print the tables, and return the exit code."""
     options, console = read_report_options(arguments), Console(highlight=False, soft_wrap=True)
+    # These modules load compiled code and plotly.
+    from launch_scripts.reporting.page import all_passed, summary_rows, verdict_rows, write_report
+
     console.width = max(console.width, TABLE_WIDTH)
     command = f"report {shlex.join(sys.argv[1:] if arguments is None else arguments)}"
     thresholds = options.thresholds.name if options.thresholds else ""
@@ -87,12 +92,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return FAILED if all_passed(drives) is False else 0
 
 
-def judge_bags(options: argparse.Namespace) -> list[JudgedDrive]:
+def judge_bags(options: argparse.Namespace) -> list["JudgedDrive"]:
     """Read all bags.
 
     Raises:
         ValueError: A bag, the vehicle or the thresholds are invalid.
     """
+    from launch_scripts.reporting.drive import Thresholds, judge_bag, load_car
+
     vehicle = thresholds = None
     if options.thresholds:
         thresholds = load(Thresholds, options.thresholds)

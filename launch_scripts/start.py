@@ -19,14 +19,10 @@ if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from ampc_msgs_config import ros
 from ampc_msgs_config.config import find, load
 from ampc_msgs_config.parameters import ControllerSettings
-from ampc_msgs_config.paths.path_file import Route
-from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from launch_scripts.run.options import (
     Run,
     prepare_run,
@@ -41,12 +37,9 @@ from launch_scripts.run.processes import (
     Processes,
     ros_environment,
 )
-from sim_vehicle.parameters import load_vehicle_file
 
 START_TIME_OUT = 180.0
 """Wall time for the discovery of the nodes, including compilation after an update [s]."""
-FAULTED = (ros.ODOM, ros.STEERING_STATE, ros.REFERENCE_PATH)
-"""Topics that the controller receives from the injector during fault injection."""
 LEAST_RATE, LARGEST_RATE = 50.0, 200.0
 """Rates of the states in real time; between them, that of the controller [Hz]."""
 GRACE_AFTER_NODE_DEATH = 1.5
@@ -93,6 +86,8 @@ def write_manoeuvre_file(options: argparse.Namespace, console: Console) -> int:
     try:
         if not options.manoeuvre:
             raise ValueError("--write-path needs --manoeuvre identification")
+        from sim_vehicle.parameters import load_vehicle_file
+
         write_path(options.write_path, load_vehicle_file(find("vehicles", options.vehicle)))
     except ValueError as error:
         print_error(console, error)
@@ -127,6 +122,10 @@ def drive_run(run: Run, console: Console) -> RunEnded:
 
 def start_nodes(nodes: Processes, run: Run) -> None:
     """Start all nodes, the recorder first."""
+    from ampc_msgs_config import topics
+    from ampc_msgs_config.paths.path_file import Route
+    from ampc_msgs_config.recording.message_types import TOPIC_TYPES
+
     # Parameters of each node
     options = run.options
     lock_step = not (options["real_time"] or options["faults"])
@@ -143,7 +142,9 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     plant["vehicle"] = options["true_vehicle"] or options["vehicle"]
     record = {"output": str(run.bag), "use_sim_time": lock_step, "vehicle": options["vehicle"]}
     look = {key: common[key] for key in ("lock_step", "vehicle")}
-    renamed = {topic: f"{ros.FAULTY}{topic}" for topic in FAULTED} if options["faults"] else {}
+    renamed = (
+        {topic: f"{topics.FAULTY}{topic}" for topic in topics.FAULTED} if options["faults"] else {}
+    )
     if options["faults"]:
         record["topics"] = [f"{new}:{TOPIC_TYPES[topic]}" for topic, new in renamed.items()]
     # Nodes
@@ -157,7 +158,10 @@ def start_nodes(nodes: Processes, run: Run) -> None:
     if not options["no_gate"]:
         limits = {key: options[key] for key in ("guard", "settings")}
         nodes.start("gate", "ampc_ros.nodes.gate_node", common | limits)
-        gated = {ros.STEERING_COMMAND: ros.GATE_STEERING, ros.TARGET_SPEED: ros.GATE_SPEED}
+        gated = {
+            topics.STEERING_COMMAND: topics.GATE_STEERING,
+            topics.TARGET_SPEED: topics.GATE_SPEED,
+        }
     nodes.start("simulator", "sim_vehicle.nodes.simulator_node", common | route | plant, gated)
     nodes.start("markers", "ampc_msgs_config.nodes.marker_node", look)
 
@@ -174,6 +178,8 @@ def state_rate(settings: str) -> float:
 
 def follow(nodes: Processes, run: Run, console: Console) -> None:
     """Show the progress until the simulator has ended the drive."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     from launch_scripts.nodes.drive_watch import DriveWatch  # needs the environment set by main()
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[at]}"))

@@ -17,13 +17,13 @@ if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
 from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.certificate import certify_command
 from ampc_ros.configuration import Choices
 from launch_scripts.run.options import print_vehicle_warnings
+from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
 from launch_scripts.tuning.learning import KINDS, check_learnable, learn, schedule_yaml
 from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
@@ -100,32 +100,28 @@ def command_of(chosen: argparse.Namespace) -> str:
 def search_and_prove(
     task: TuningTask, workers: Workers, checkpoints: Checkpoints, console: Console
 ) -> TuningReport:
-    """Run all searches with a progress bar, and compare their results."""
+    """Run all searches, show their progress, and compare their results."""
     searches = task.searches()
     total = sum(search.drives for search in searches)
     if task.is_smooth:
         total += sum(task.evaluations * len(task.speeds) for _ in task.seeds) - sum(
             search.drives for search in searches if search.purpose == TABLE_SEARCH
         )
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"))
-    clocks = TimeElapsedColumn(), TimeRemainingColumn(elapsed_when_finished=True)
-    with Progress(*columns, *clocks, console=console) as bar:
-        line = bar.add_task("compiling", total=total, best="")
+    with show_progress(console, "tuning", total) as advance:
         shown: dict[str, int] = {}
         lock = threading.Lock()
 
         def show(search: Search, record: SearchRecord) -> None:
-            best = f"best fitness {record.fitness.min():.3g}"
             with lock:
                 new = len(record.fitness) - shown.get(search.name, 0)
                 shown[search.name] = len(record.fitness)
-            drives = new * len(search.nodes)
-            bar.update(line, advance=drives, description=search.name, best=best)
+                stage = f"{search.name}, best fitness {record.fitness.min():.3g}"
+                advance(new * len(search.nodes), stage)
 
         results = run_searches(searches, workers, checkpoints, show)
         if polishes := polish_searches(task, results):
             results |= run_searches(polishes, workers, checkpoints, show)
-        bar.update(line, completed=total, description="proof", best="")
+        advance(0.0, "proof")
         return prove(task, results, workers)
 
 
@@ -176,6 +172,8 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
         report = search_and_prove(task, workers, checkpoints, console)
     console.print(report.screen_table())
     console.print(report.verdict)
+    if report.warning:
+        console.print(f"note: {report.warning}", markup=False)
     origin = provenance(task, report, command_of(chosen))
     proof = json.dumps(report.to_json() | {"task": origin}, indent=1, allow_nan=False)
     first = schema_line(shipped_schema("gains"), output)

@@ -10,17 +10,19 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
 
 from rich.console import Console
-from rich.live import Live
 
 from ampc_msgs_config.signals import handle_ending_signals
 from launch_scripts.run.options import check_namespace
 from launch_scripts.run.processes import ros_environment
-from launch_scripts.watching.live_drive import LiveDrive, line_of_drive, picture_of_drive
+
+if TYPE_CHECKING:
+    from launch_scripts.watching.live_drive import LiveDrive
 
 PICTURE_RATE = 5.0
 """Pictures a second."""
@@ -49,7 +51,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def show_live(namespace: str, console: Console, is_over: Callable[[], bool]) -> None:
     """Show a drive until `is_over` returns True."""
+    from rich.live import Live
+
     from launch_scripts.nodes.drive_listener import open_listener  # needs the environment
+    from launch_scripts.watching.live_drive import picture_of_drive
 
     with open_listener(namespace) as listen:
         if console.is_terminal:
@@ -61,8 +66,10 @@ def show_live(namespace: str, console: Console, is_over: Callable[[], bool]) -> 
             print_line(console, listen(LINE_PERIOD))
 
 
-def print_line(console: Console, drive: LiveDrive) -> None:
+def print_line(console: Console, drive: "LiveDrive") -> None:
     """Print one line with the time of day."""
+    from launch_scripts.watching.live_drive import line_of_drive
+
     line = f"{time.strftime('%H:%M:%S')} {line_of_drive(drive)}"
     console.print(line, markup=False, soft_wrap=True)
 

@@ -13,6 +13,7 @@ Note:
 
 import fcntl
 import hashlib
+import importlib.util
 import io
 import shutil
 import sys
@@ -93,8 +94,7 @@ class ContentLocator(LOCATOR):  # type: ignore[misc]
     def __init__(self, function: Any, file: str) -> None:
         """Derive the folder from a function and the file that defines it."""
         super().__init__(function, file)
-        folder = f"{function.__module__}-{digest_of_source(file)[:16]}"
-        self._cache_path = str(Path(config.CACHE_DIR) / folder)  # type: ignore[attr-defined]
+        self._cache_path = str(folder_of(function.__module__, file))
 
 
 class ContentImplementation(IMPLEMENTATION):  # type: ignore[misc]
@@ -142,6 +142,23 @@ def remove(path: Path, fault: str = "cannot be loaded") -> None:
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
+
+
+def folder_of(module: str, file: str) -> Path:
+    """Return the folder of the code of a module that is defined in a file."""
+    folder = f"{module}-{digest_of_source(file)[:16]}"
+    return Path(config.CACHE_DIR) / folder  # type: ignore[attr-defined]
+
+
+def is_stored(function: str) -> bool:
+    """Return whether there is code of a function, as named in `compile_times.json`."""
+    module, _, name = function.rpartition(".")
+    spec = None
+    with suppress(ImportError, ValueError):
+        spec = importlib.util.find_spec(module)
+    return bool(
+        spec and spec.origin and any(folder_of(module, spec.origin).glob(f"*.{name}-*.nbi"))
+    )
 
 
 @cache

@@ -9,6 +9,8 @@ from typing import Any
 
 from numba.core import event
 
+from ampc_msgs_config.checked_cache import is_stored
+
 INTERVAL_OF_LINES = 10.0
 """Time between two lines about the progress [s]."""
 TIMES = files("ampc_msgs_config") / "config" / "compile_times.json"
@@ -96,7 +98,8 @@ def log_compilation(what: str, log: Callable[[str], object]) -> Iterator[None]:
         nonlocal estimate
         if begin:
             return
-        estimate = Estimate(compile_times(what))
+        times = compile_times(what).items()
+        estimate = Estimate({name: each for name, each in times if not is_stored(name)})
         begin.append(time.monotonic())
         shown.append(begin[0])
         about = f", about {estimate.total:.0f} s" if estimate.total else ""

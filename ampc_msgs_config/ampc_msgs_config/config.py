@@ -3,15 +3,10 @@
 Every error is one line with file, dotted key, value and bound. The fields are declared with
 `validation`, which uses msgspec. Measured before the choice, for import on its own: msgspec takes
 24 ms and 5 MB, pydantic 98 ms and 21 MB; each node pays this once per start.
-
-The accepted YAML is 1.1 without its traps. Booleans are `true` and `false` only. Numbers are
-decimal, `1e-3` included. `yes`, `1:30`, `0017`, `0x1F`, `1_0` and dates are text, which no number
-field accepts. A key that occurs twice in a mapping is an error.
 """
 
 import math
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import MISSING
 from importlib import resources
@@ -21,70 +16,17 @@ from typing import Any, cast
 import msgspec
 import yaml
 
-from ampc_msgs_config.validation import T, convert, defaults, did_you_mean, dotted, hints
+from ampc_msgs_config.strict_yaml import Dumper, parse_yaml
+from ampc_msgs_config.validation import T, convert, defaults, did_you_mean, hints
 
 FOLDER = Path(str(resources.files("ampc_msgs_config"))) / "config"
 """Folder of the shipped files."""
 MAX_YAML_BYTES = 5_000_000
 """Greatest size of a YAML file [bytes]."""
-MAX_NODES = 5_000_000
-"""Greatest number of values in a YAML file, where each alias counts as all that it stands for."""
 LONGEST_NAME = 300
 """Longest name of a file in a message [characters]."""
-SCALARS = {
-    "bool": re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"),
-    "int": re.compile(r"[-+]?(?:0|[1-9][0-9]*)\Z"),
-    "float": re.compile(
-        r"""[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*(?:[eE][-+]?[0-9]+)?|\.[0-9]+(?:[eE][-+]?[0-9]+)?
-        |(?:0|[1-9][0-9]*)[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))\Z|\.(?:nan|NaN|NAN)\Z""",
-        re.VERBOSE,
-    ),
-}
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 """Dialect of the exported schemas."""
-
-
-class Loader(yaml.SafeLoader):
-    """Safe YAML loader whose plain scalars are only numbers, booleans, null and text.
-
-    Note:
-        libyaml's own loader crashes on deep nesting.
-    """
-
-    yaml_implicit_resolvers = {  # noqa: RUF012 (PyYAML's own registry, replaced as a whole)
-        first: [
-            (tag, pattern)
-            for tag, pattern in resolvers
-            if tag.rpartition(":")[2] in ("null", "merge")
-        ]
-        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
-
-class Dumper(yaml.SafeDumper):
-    """Safe YAML writer that quotes every text which `Loader` would read as something else."""
-
-
-def _construct(loader: Loader, node: yaml.ScalarNode) -> bool | int | float:
-    """Return the value of a boolean or number, also where the text has an explicit tag."""
-    text, kind = str(loader.construct_scalar(node)).lower(), node.tag.rpartition(":")[2]
-    problem = f"{node.value!r} is not of the type {kind}"
-    if SCALARS[kind].match(node.value):
-        if kind != "float":
-            return text == "true" if kind == "bool" else int(text)
-        value = float(text.replace(".inf", "inf").replace(".nan", "nan"))
-        if "inf" in text or not math.isinf(value):
-            return value
-        problem = f"{node.value} is beyond the range of floating-point numbers"
-    raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
-
-
-for kind, pattern in SCALARS.items():
-    tag, starts = f"tag:yaml.org,2002:{kind}", list("tTfF" if kind == "bool" else "-+0123456789.")
-    Loader.add_constructor(tag, _construct)
-    Loader.add_implicit_resolver(tag, pattern, starts)
-    if kind != "bool":  # as PyYAML's own dumper quotes `yes`, too
-        Dumper.add_implicit_resolver(tag, pattern, starts)
 
 
 def shipped(folder: str) -> dict[str, Path]:
@@ -148,10 +90,7 @@ def parse(text: str, where: str) -> dict[str, Any]:
             replaced, or is no mapping.
     """
     try:
-        loader = Loader(text)
-        node: Any = loader.get_single_node()
-        check_nodes(node, {}, "")
-        content = loader.construct_document(node) if node else None
+        content = parse_yaml(text)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"{where}: not YAML: {' '.join(str(error).split())}") from error
     except ValueError as error:
@@ -180,43 +119,6 @@ def read_text(file: Path, most: int = MAX_YAML_BYTES) -> str:
         return file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from error
-
-
-def check_nodes(node: Any, counts: dict[int, int], key: str) -> int:
-    """Count the values of a YAML node, with every alias replaced, and check its keys.
-
-    Args:
-        node: Composed node, or a part of one, or None.
-        counts: Counts of visited nodes, by id; 0 while a node is being counted.
-        key: Dotted key of the node, for the message.
-
-    Raises:
-        ValueError: More than MAX_NODES values, a node that contains itself, or a key that occurs
-            twice in one mapping.
-    """
-    if id(node) in counts:
-        if not counts[id(node)]:
-            raise ValueError("an alias names what it is part of")
-        return counts[id(node)]
-    counts[id(node)] = 0
-    total, parts, lines = 1, list[tuple[str, Any]](), dict[str, int]()
-    if isinstance(node, yaml.SequenceNode):
-        parts = [(f"{key}[{i}]", part) for i, part in enumerate(node.value)]
-    elif isinstance(node, yaml.MappingNode):
-        for name, value in node.value:
-            inner, line = dotted(key, str(name.value)), name.start_mark.line + 1
-            if isinstance(name, yaml.ScalarNode) and name.value in lines:
-                text = value.value if isinstance(value, yaml.ScalarNode) else "..."
-                where = f"in line {line} repeats the key of line {lines[name.value]}"
-                raise ValueError(f"{inner} = {text} {where}")
-            lines[str(name.value)] = line
-            parts += [(inner, name), (inner, value)]
-    for inner, part in parts:
-        total += check_nodes(part, counts, inner)
-        if total > MAX_NODES:
-            raise ValueError(f"more than {MAX_NODES} values, with aliases replaced")
-    counts[id(node)] = total
-    return total
 
 
 def build(cls: type[T], content: Any, where: str, key: str = "") -> T:

@@ -32,6 +32,8 @@ MEMORY = "controller/memory"
 CONFIGURATION = "configuration"
 """Below each node: latched std_msgs/String, YAML document from which the run can be repeated."""
 MARKERS = "markers"
+FAULTED = (ODOM, STEERING_STATE, REFERENCE_PATH)
+"""Topics that the controller receives from the injector during fault injection."""
 FAULTY = "faulty/"
 """Prefix of inputs that the fault injector has passed on to the controller."""
 CLOCK = "/clock"

@@ -1,6 +1,7 @@
 """Serialisable configuration of a controller, complete enough to rebuild it exactly.
 
-It is published as YAML on a latched topic, and so is part of every recording.
+It is published as YAML on a latched topic, and so is part of every recording. Functions import what
+loads compiled code, so that commands can list and check their options without it.
 """
 
 import math
@@ -15,10 +16,8 @@ from ampc_msgs_config.parameters import (
     GuardLimits,
     SteeringParameters,
 )
-from ampc_msgs_config.scenarios.scenario_yaml import document, read_document
 from ampc_msgs_config.validation import Checked, number
 from ampc_msgs_config.vehicle_file import read_vehicle
-from ampc_ros.mpc.gain_table import gain_table, read_gain_table
 
 CONTROLLERS = {
     "preview": "adaptive MPC on the path ahead, with the actuator in its model",
@@ -119,6 +118,8 @@ def configuration(choices: Choices) -> Configuration:
     Raises:
         ValueError: A name is unknown, or a file is missing or wrong.
     """
+    from ampc_ros.mpc.gain_table import read_gain_table
+
     controller = check_controller(choices.controller)
     vehicle = read_vehicle(find("vehicles", choices.vehicle))
     chassis = vehicle.section(ChassisParameters, "chassis", "the controller")
@@ -186,6 +187,8 @@ def to_yaml(config: Configuration, number: int) -> str:
         config: Configuration to write.
         number: Number of the configuration in its run; each tick refers to it.
     """
+    from ampc_msgs_config.scenarios.scenario_yaml import document
+
     items = config._asdict().items()
     content: dict[str, Any] = {key: asdict(v) if key in PARTS else v for key, v in items}
     difference = config.difference and config.difference._asdict()
@@ -206,6 +209,9 @@ def from_yaml(text: str, where: str) -> tuple[Configuration, int]:
         A recording without one of the keys of LATER is older than what the key controls, and is
         repeated without it. All other missing keys have their defaults.
     """
+    from ampc_msgs_config.scenarios.scenario_yaml import read_document
+    from ampc_ros.mpc.gain_table import gain_table
+
     content, number = read_document(text, where)
     if isinstance(settings := content.get("settings"), dict):
         content["settings"] = {**LATER, **settings}

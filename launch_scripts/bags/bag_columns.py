@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import build, parse
 from ampc_msgs_config.parameters import SteeringParameters
-from ampc_msgs_config.types import NANOSECONDS, Array
+from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
 from launch_scripts.bags.bag import Bag, BagMessage, open_bag
 
 DEBUG = dict(zip(topics.QUANTITIES, topics.DEBUG_QUANTITIES, strict=True))
@@ -424,3 +424,16 @@ def tick_columns(rows: Mapping[str, Array], names: list[str]) -> dict[str, Array
                 values[:, 0] = commands[:, 0]
     finite = {name: values[np.isfinite(values[:, 1])] for name, values in quantities.items()}
     return {name: values for name, values in finite.items() if len(values)}
+
+
+def answered(odom: Array, commands: Array) -> tuple[Array, Array]:
+    """Return the states (n, 7) whose stamp a command answers, and its angle (n,) [rad]."""
+    _, state, last = np.intersect1d(odom[:, 0], commands[::-1, 0], return_indices=True)
+    return odom[state], commands[::-1][last, 1]
+
+
+def states_of(odom: Array, start_ns: int) -> list[VehicleState]:
+    """Return rows of time since `start_ns` [s] and state (n, 7) as states."""
+    return [
+        VehicleState(start_ns + round(time * NANOSECONDS), *state) for time, *state in odom.tolist()
+    ]

@@ -2,14 +2,12 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from ampc_msgs_config import topics
 from ampc_msgs_config.metrics import Drive
 from ampc_msgs_config.paths.path import Path as ReferencePath
 from ampc_msgs_config.paths.path_fitting import make_path
-from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
-from launch_scripts.bags.bag_columns import BagColumns
+from ampc_msgs_config.types import Array
+from launch_scripts.bags.bag_columns import BagColumns, answered, states_of
 
 SOLVE_TIME = "solve_time"
 NEEDED = (topics.STEERING_COMMAND, topics.TARGET_SPEED, topics.REFERENCE_PATH)
@@ -45,16 +43,3 @@ def drive_log(columns: BagColumns) -> DriveLog:
         states_of(odom, columns.start_ns), steering, columns.tick[SOLVE_TIME][:, 1].copy()
     )
     return DriveLog(drive, make_path(columns.paths[-1].points), values[topics.TARGET_SPEED])
-
-
-def answered(odom: Array, commands: Array) -> tuple[Array, Array]:
-    """Return the states (n, 7) whose stamp a command answers, and its angle (n,) [rad]."""
-    _, state, last = np.intersect1d(odom[:, 0], commands[::-1, 0], return_indices=True)
-    return odom[state], commands[::-1][last, 1]
-
-
-def states_of(odom: Array, start_ns: int) -> list[VehicleState]:
-    """Return rows of time since `start_ns` [s] and state (n, 7) as states."""
-    return [
-        VehicleState(start_ns + round(time * NANOSECONDS), *state) for time, *state in odom.tolist()
-    ]

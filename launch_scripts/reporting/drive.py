@@ -25,8 +25,7 @@ from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.types import RUNGS, Array
 from ampc_msgs_config.validation import Checked, number, units_of
 from ampc_ros.supervision.guard import bounds
-from launch_scripts.bags.bag_columns import BagColumns, read_columns
-from launch_scripts.bags.drive_log import answered, states_of
+from launch_scripts.bags.bag_columns import BagColumns, answered, read_columns, states_of
 from launch_scripts.reporting.completion import incompleteness
 
 T = TypeVar("T", bound=Checked)

@@ -1,4 +1,7 @@
-"""Options of a run, and a check of all names and files before any node starts."""
+"""Options of a run, and a check of all names and files before any node starts.
+
+Functions import what loads compiled code, so that help and wrong options are answered without it.
+"""
 
 import argparse
 import re
@@ -7,20 +10,17 @@ from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from rich.console import Console
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ampc_msgs_config.config import find, load, shipped
 from ampc_msgs_config.parameters import ControllerSettings, GuardLimits
-from ampc_msgs_config.paths.manoeuvre import write_manoeuvre
-from ampc_msgs_config.paths.path_file import Route, choose_scenario
-from ampc_msgs_config.scenarios.scenario import Scenario
-from ampc_msgs_config.vehicle_warnings import file_warnings
 from ampc_ros.configuration import CONTROLLERS, Choices, check_controller, is_custom
-from ampc_ros.mpc.gain_table import load_gain_table
-from sim_vehicle.parameters import MeasurementNoise, Vehicle, load_vehicle_file
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ampc_msgs_config.scenarios.scenario import Scenario
+    from sim_vehicle.parameters import Vehicle
 
 IDENTIFICATION = "identification"
 """Name of the manoeuvre, and of the settings that drive it."""
@@ -34,7 +34,7 @@ class Run(NamedTuple):
     """One run of the start script."""
 
     folder: Path
-    scenario: Scenario
+    scenario: "Scenario"
     options: dict[str, Any]
     """Options of the command line."""
 
@@ -121,28 +121,27 @@ def controller_label(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "vehicle": ("vehicles", load_vehicle_file),
-    "settings": ("controllers", partial(load, ControllerSettings)),
-    "guard": ("guards", partial(load, GuardLimits)),
-    "noise": ("noise", partial(load, MeasurementNoise)),
-}
-"""Options that name a file: folder of the shipped ones, and how to read it."""
-
-
 def check_files(options: argparse.Namespace) -> None:
     """Read the files that the options name.
 
     Raises:
         ValueError: Names the option, the file and the cause.
     """
-    for option, (folder, read) in FILES.items():
+    from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
+
+    files: dict[str, tuple[str, Callable[[Path], Any]]] = {
+        "vehicle": ("vehicles", load_vehicle_file),
+        "settings": ("controllers", partial(load, ControllerSettings)),
+        "guard": ("guards", partial(load, GuardLimits)),
+        "noise": ("noise", partial(load, MeasurementNoise)),
+    }
+    for option, (folder, read) in files.items():
         if getattr(options, option, ""):
             with naming(option):
                 read(find(folder, getattr(options, option)))
 
 
-def print_vehicle_warnings(vehicle: str, console: Console) -> None:
+def print_vehicle_warnings(vehicle: str, console: "Console") -> None:
     """Print a line for each implausible value of a vehicle.
 
     Args:
@@ -152,6 +151,10 @@ def print_vehicle_warnings(vehicle: str, console: Console) -> None:
     Raises:
         ValueError: The file is missing or wrong.
     """
+    from rich.text import Text
+
+    from ampc_msgs_config.vehicle_warnings import file_warnings
+
     for sentence in file_warnings(find("vehicles", vehicle)):
         console.print(Text.assemble(("warning:", "yellow"), f" {sentence}"))
 
@@ -171,6 +174,10 @@ def prepare_run(options: argparse.Namespace) -> Run:
     Raises:
         ValueError: Names the invalid option or file in one sentence.
     """
+    from ampc_msgs_config.paths.path_file import Route, choose_scenario
+    from ampc_ros.mpc.gain_table import load_gain_table
+    from sim_vehicle.parameters import load_vehicle_file
+
     check_files(options)
     check_namespace(options.namespace)
     options.controller = check_controller(options.controller)
@@ -220,12 +227,14 @@ def run_name(scenario: str, controller: str) -> str:
     return f"{datetime.now():%Y%m%d_%H%M%S}_{scenario}_{controller}"
 
 
-def write_path(file: Path, vehicle: Vehicle) -> None:
+def write_path(file: Path, vehicle: "Vehicle") -> None:
     """Write the manoeuvre of the identification for a car.
 
     Raises:
         ValueError: The file cannot be written.
     """
+    from ampc_msgs_config.paths.manoeuvre import write_manoeuvre
+
     try:
         write_manoeuvre(file, vehicle.chassis.wheelbase, vehicle.steering.max_angle)
     except OSError as error:

@@ -139,14 +139,14 @@ def draw_tables(tables: Sequence[Judged], file: Path) -> None:
     figure = Figure(figsize=(5.2 * columns, 3.8 * rows), layout="constrained", dpi=100)
     for ax, item in zip(figure.subplots(rows, columns, squeeze=False).flat, tables, strict=False):
         for key, (color, line) in STYLES.items():
-            ax.plot(item.speeds, item.fitness[key], line, color=color, label=key)
+            ax.plot(item.speeds, 1e3 * item.fitness[key], line, color=color, label=key)
         ax.set_title(f"{item.name}: {item.proof['written'].partition(',')[0]} written")
         ax.set_xscale("log")
-        ax.set_yscale("log")
         ax.set_xticks((3, 5, 10, 20, 40), ("3", "5", "10", "20", "40"))
         ax.minorticks_off()
+        ax.set_ylim(bottom=0.0)
         ax.set_xlabel("speed [m/s]")
-        ax.set_ylabel("fitness, held-out plants [m2]")
+        ax.set_ylabel("fitness, held-out plants [1e-3 m2]")
         ax.grid(alpha=0.3)
         ax.legend()
     figure.savefig(file)

@@ -110,6 +110,15 @@ class TuningReport(NamedTuple):
         return f"{reason}: single gain set written"
 
     @property
+    def warning(self) -> str:
+        """What the hand-set gains do better than the written ones; empty: nothing."""
+        lost, name = self.loss(self.written), self.hand_set.name.removeprefix("shipped ")
+        if lost <= MAX_LOSS:
+            return ""
+        share = f"up to {lost:.1%} worse" if math.isfinite(lost) else "worse: they lose a car"
+        return f"at one speed or more the written gains are {share} than the hand-set {name}"
+
+    @property
     def candidates(self) -> tuple[Candidate, ...]:
         """All candidates, the table first."""
         return (self.table, self.single, self.hand_set, *self.others)

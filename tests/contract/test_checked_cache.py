@@ -14,6 +14,7 @@ import numba
 import pytest
 
 import ampc_msgs_config.compiled  # noqa: F401 - selects the folder, which the tests then replace
+from ampc_msgs_config.checked_cache import digest_of_source, is_stored
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT),  # type: ignore[attr-defined]
@@ -58,6 +59,21 @@ def load(file: Path) -> Any:
 def is_loaded(function: Any) -> bool:
     """Return whether the code of a function came from the disk."""
     return any(function.stats.cache_hits.values())
+
+
+def test_a_function_counts_as_stored_until_its_file_changes(
+    source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(source.parent)
+    assert not is_stored("halving.half")
+    load(source)(4.0)
+    assert is_stored("halving.half")
+    assert not is_stored("halving.hal")
+    assert not is_stored("no_such_module.half")
+    assert not is_stored("halving.outer.<locals>.half")
+    source.write_text(SOURCE + "# changed")
+    digest_of_source.cache_clear()
+    assert not is_stored("halving.half")
 
 
 def rewrite(change: Callable[[bytes], bytes]) -> Callable[[Path], object]:

@@ -10,6 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ampc_msgs_config import strict_yaml
 from ampc_msgs_config.config import MAX_YAML_BYTES, build, dump, find, load, parse, read, shipped
 from ampc_msgs_config.parameters import (
     ChassisParameters,
@@ -239,6 +240,14 @@ TEXTS: dict[str, str | bytes] = {
     ),
     "an alias names what it is part of": "part: &a {length: *a}",
     "part = '2026-99-01' must be a mapping of keys": "part: 2026-99-01",
+    "not YAML: .*tag 'tag:yaml.org,2002:timestamp'": "part: {length: !!timestamp soon}",
+    "not YAML: .*found unhashable key": "part: {[1]: 2}",
+    "not YAML: .*expected a single document": "part: {}\n---\npart: {}",
+    "not YAML: .*found undefined alias 'a'": "part: *a",
+    "not YAML: .*found duplicate anchor 'a'": "part: &a 1\nother: &a 2",
+    "not YAML: .*for merging, but found scalar": "part: {<<: 7}",
+    "not YAML: .*a mapping for merging, but found sequence": "part: {<<: [[]]}",
+    "not YAML: .*tag 'tag:yaml.org,2002:merge'": "part: <<",
     "Exceeds the limit": f"part: {'9' * 5000}",
     "not YAML: '1:30' is not of the type int": "part: {length: !!int 1:30}",
     "not YAML: 'yes' is not of the type bool": "part: {ready: !!bool yes}",
@@ -255,6 +264,93 @@ def test_bad_file_is_refused_in_one_line_with_its_name(complaint: str, tmp_path:
     with pytest.raises(ValueError, match=f"sample.yaml: {complaint}") as error:
         load(Document, file)
     assert "\n" not in str(error.value)
+
+
+def read_by(libyaml: bool, text: str) -> str:
+    """Return the content of a text, or the message about it, as one of the parsers reads it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(yaml, "__with_libyaml__", libyaml)
+        try:
+            return repr(parse(text, "x.yaml"))
+        except ValueError as error:
+            return str(error)
+
+
+WORDS = [*NOT_NUMBERS, "1e-3", "-.inf", ".nan", "1e999", "true", "null", "~", "''", "<<", "a b"]
+BITS = [
+    *(f"{word}{end}" for word in WORDS for end in (": 1\n", "\n")),
+    *("- ", "  ", "a: ", "b:\n  ", "{", "}", "[", "]", ", ", "? ", "&a ", "*a", "!!int ", "! "),
+    *("|\n", "'", '"', "#", "%", "\t", "---\n", "\ufeff", "\x07", "\u2028", "\u00e4"),
+]
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(text=st.lists(st.sampled_from(BITS), max_size=12).map("".join))
+def test_any_text_has_the_same_content_or_message_without_libyaml(text: str) -> None:
+    assert read_by(True, text) == read_by(False, text)
+
+
+@pytest.mark.parametrize("text", [*TWICE, *(each for each in TEXTS.values() if each != "")])
+def test_a_bad_text_has_the_same_message_without_libyaml(text: str | bytes) -> None:
+    if isinstance(text, str):
+        assert read_by(True, text) == read_by(False, text)
+
+
+SCALAR = (
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=9)
+)
+CONTENT = st.recursive(
+    SCALAR,
+    lambda part: (
+        st.lists(part, max_size=4) | st.dictionaries(st.text(max_size=9), part, max_size=4)
+    ),
+)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(content=CONTENT)
+def test_content_that_is_written_is_read_back_value_for_value(content: Any) -> None:
+    text = dump({"content": content})
+    for libyaml in (True, False):
+        assert read_by(libyaml, text) == repr({"content": content})
+
+
+MERGED = """\
+base: &base {a: 1, b: 2}
+more: &more {b: 3, c: 4}
+one: {<<: *base, b: 5}
+two: {d: 6, <<: [*base, *more]}
+"""
+
+
+def test_a_merge_key_states_what_the_mapping_and_those_before_do_not() -> None:
+    content = parse(MERGED, "x.yaml")
+    assert content["one"] == {"a": 1, "b": 5}
+    assert content["two"] == {"a": 1, "b": 2, "c": 4, "d": 6}
+    assert content == yaml.safe_load(MERGED)
+
+
+LONG = "".join(f"key_{i}: [{i / 7}, text, {{a: 1}}]\n" for i in range(5000))
+
+
+@pytest.mark.parametrize("end", ["", "key_9: 1", "bad: [", "\tb: ?"])
+def test_a_long_text_is_read_once_and_by_libyaml(end: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = {
+        "": "{'key_0': [0.0, ",
+        "key_9: 1": "x.yaml: key_9 = 1 in line 5001 repeats the key",
+    }
+    monkeypatch.setattr(strict_yaml.Loader, "get_event", None)
+    assert len(LONG) > strict_yaml.LONGEST_REPEATED
+    assert read_by(True, LONG + end).startswith(expected.get(end, "x.yaml: not YAML: "))
+
+
+@pytest.mark.parametrize("container", ["[", "{a: ", "- "])
+def test_containers_are_nested_up_to_a_bound(container: str) -> None:
+    depth = strict_yaml.MAX_DEPTH - 1
+    inner = "- 1" if container == "- " else "1" + {"[": "]", "{a: ": "}"}[container] * depth
+    assert parse(f"a:\n  {container * (depth - (container == '- '))}{inner}", "x")
+    with pytest.raises(ValueError, match="not YAML: maximum recursion depth exceeded"):
+        parse(f"a:\n  {container * 100_000}{inner}", "x")
 
 
 def test_a_device_that_never_ends_is_refused() -> None:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ampc_msgs_config.frames import at_distance, wrap_angle
+from ampc_msgs_config.paths import path_fitting
 from ampc_msgs_config.paths.path import (
     MAX_PROJECTION_DISTANCE,
     Path,
@@ -36,6 +37,21 @@ def wave(count: int = 200) -> Array:
     """Return points of two periods of a sine of 3 m and 60 m."""
     x = np.linspace(0.0, 120.0, count, dtype=np.float64)
     return np.column_stack((x, 3.0 * np.sin(math.tau * x / 60.0)))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_path_of_many_points_is_fitted_as_scipy_fits_one_of_few(
+    closed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gaps = np.random.default_rng(5).uniform(0.2, 3.0, 400)
+    angle = np.cumsum(gaps) / gaps.sum() * (math.tau if closed else 4.0)
+    points = np.column_stack((100.0 * np.cos(angle), 60.0 * np.sin(angle)))
+    expected = make_path(points, 0.0)
+    monkeypatch.setattr(path_fitting, "MOST_FOR_SCIPY", 0)
+    found = make_path(points, 0.0)
+    assert found.closed is expected.closed is closed
+    for name in ("x", "y", "heading", "curvature"):
+        assert np.allclose(getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-9)
 
 
 def figure_of_eight() -> Array:

@@ -4,11 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.serialized_path import NotTabular, positions, preamble
+from ampc_msgs_config.nodes.serialized_path import (
+    NotTabular,
+    has_positions_of,
+    positions,
+    preamble,
+)
 from ampc_msgs_config.types import Array
 from ampc_ros.nodes.received_path import points_of
 
@@ -67,6 +74,60 @@ def test_a_message_that_is_cut_is_rejected() -> None:
     for size in (0, 3, 4, 17, 30, 200, len(data) - 60):
         with pytest.raises(ValueError, match="cannot be decoded as Path"):
             points_of(data[:size])
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    values=st.lists(st.tuples(*[st.floats(width=64)] * 2), max_size=5),
+    frames=st.sampled_from(
+        [("map", ""), ("map", "map"), ("a", "b"), ("\u00e4", "\u00e4"), ("odom", "")]
+    ),
+    cut=st.integers(-9, 9),
+)
+def test_any_message_gives_the_positions_of_its_poses_or_an_error(
+    values: list[tuple[float, float]], frames: tuple[str, str], cut: int
+) -> None:
+    points: Array = np.array(values, dtype=float).reshape(-1, 2)
+    data = serialize_message(message(points, *frames))
+    data = data[:cut] if cut < 0 else data + b"\xff" * cut
+    try:
+        found = points_of(data).tobytes()
+    except ValueError:
+        found = b""
+    try:
+        expected = np.array(ros.path_points(ros.decode(data, Path)), dtype=float).tobytes()
+    except ValueError:
+        expected = b""
+    assert found == expected
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    index=st.integers(0, 4),
+    name=st.sampled_from(["", "stamp", "orientation", "x", "y", "frame", "count", "path frame"]),
+    frame=st.sampled_from(["", "map", "odometry"]),
+)
+def test_a_repeated_path_has_the_same_frames_and_positions(
+    index: int, name: str, frame: str
+) -> None:
+    path = message(np.random.default_rng(2).normal(size=(5, 2)), "map", frame)
+    data, pose = serialize_message(path), path.poses[index]
+    path.header.stamp.sec += 1
+    if name == "stamp":
+        pose.header.stamp.nanosec = 7
+    elif name == "orientation":
+        pose.pose.orientation.z = 1.0
+    elif name == "frame":
+        pose.header.frame_id = "abc"
+    elif name == "count":
+        path.poses = path.poses[1:]
+    elif name == "path frame":
+        path.header.frame_id = "pam"
+    elif name:
+        setattr(pose.pose.position, name, 1e-300)
+    repeated = name in ("", "stamp", "orientation")
+    assert has_positions_of(serialize_message(path), data) is repeated
+    assert has_positions_of(data, serialize_message(path)) is repeated
 
 
 @pytest.mark.parametrize("encapsulation", [b"\0\0\0\0", b"\0\3\0\0"], ids=["big endian", "list"])

@@ -409,6 +409,44 @@ def drive_while_a_path_is_built(executor: SingleThreadedExecutor) -> None:
     assert not node.supervisor.stop_requested
 
 
+def test_a_path_that_is_sent_again_is_used_at_once_and_another_one_after_it_was_built(
+    executor: SingleThreadedExecutor,
+) -> None:
+    node = ControllerNode()
+    world = Foreign(executor, node, ros.LATCHED)
+
+    def send(points: Array, stamp_ns: int) -> None:
+        node.on_serialized_path(serialize_message(ros.path_message(points, stamp_ns)))
+
+    def stamp_in_use() -> int:
+        path = node.supervisor.path
+        return path.stamp_ns if path else 0
+
+    def samples_in_use() -> int:
+        path = node.supervisor.path
+        return len(path.value.x) if path else 0
+
+    send(STRAIGHT, 1)
+    world.spin_until(lambda: stamp_in_use() == 1)
+    samples = samples_in_use()
+    process = node.builder and node.builder._process
+    assert process
+    process.send_signal(signal.SIGSTOP)
+    send(STRAIGHT, 2)
+    assert stamp_in_use() == 2
+    assert samples_in_use() == samples
+    moved = STRAIGHT.copy()
+    moved[-1, 1] += 1e-12
+    send(moved, 3)
+    send(STRAIGHT, 4)  # the other path is not yet built, and must not be used after this one
+    assert stamp_in_use() == 2
+    process.send_signal(signal.SIGCONT)
+    world.spin_until(lambda: stamp_in_use() == 4)
+    send(STRAIGHT[:-1], 5)
+    world.spin_until(lambda: stamp_in_use() == 5)
+    assert 0 < samples_in_use() < samples
+
+
 def test_a_large_file_is_loaded_while_the_controller_steers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -441,7 +479,10 @@ def test_a_large_file_is_loaded_while_the_controller_steers(
         Path("guard.yaml").write_text(" " * serialized_path.MAX_PATH_BYTES, encoding="utf-8")
         future = client.call_async(Trigger.Request())
         world.spin_until(future.done)
-        assert "guard.yaml: 64000000 bytes are more than 5000000" in future.result().message
+        assert (
+            f"guard.yaml: {serialized_path.MAX_PATH_BYTES} bytes are more than 5000000"
+            in future.result().message
+        )
 
 
 def test_too_large_a_path_is_rejected_in_one_line(

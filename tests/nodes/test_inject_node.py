@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.config import find
+from ampc_msgs_config.topics import FAULTED as RENAMED
 from ampc_msgs_config.types import REASONS, RUNGS, VehicleState
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
@@ -20,7 +21,6 @@ from launch_scripts.faults.messages import ODOM_INPUT, PATH, STEERING_INPUT, Mes
 from launch_scripts.faults.schedule import load_faults
 from launch_scripts.nodes.injector_node import InjectorNode, pack, unpack
 from launch_scripts.replay import main as replay
-from launch_scripts.start import FAULTED as RENAMED
 from launch_scripts.start import main as start
 from sim_vehicle.nodes.simulator_node import SimulatorNode
 from tests.ros_nodes import add, ros_context, spin_to_the_end

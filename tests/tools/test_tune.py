@@ -260,5 +260,14 @@ def test_a_table_that_loses_a_car_between_its_nodes_is_not_written() -> None:
     assert report.verdict.endswith("single gain set written")
 
 
+def test_written_gains_that_are_worse_than_the_hand_set_ones_are_named() -> None:
+    assert judged([0.9, 0.9], [1.0, 1.019], [1.0, 1.0]).warning == ""
+    warned = judged([1.25, 1.25], [1.0, 1.3], [1.0, 1.0]).warning
+    assert warned == (
+        "at one speed or more the written gains are up to 30.0% worse than the hand-set table3"
+    )
+    assert "lose a car" in judged([np.inf, 0.95], [0.9, np.inf], [1.0, 1.0]).warning
+
+
 def test_speeds_at_which_the_hand_set_gains_lose_a_car_are_not_compared() -> None:
     assert judged([5.0, 0.5], [9.0, 9.0], [np.inf, 1.0]).is_table

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 
+from ampc_msgs_config import ros
+from ampc_msgs_config.nodes.serialized_path import has_positions_of
 from ampc_ros.mpc.gain_table import Gains
 from ampc_ros.mpc.model import augment, zero_order_hold
 from ampc_ros.mpc.qp import Qp
 from ampc_ros.mpc.small_matrices import make_scratch
-from tests.workshop.bench import bench, bench_growth, bench_qp, bench_report
+from tests.workshop.bench import bench, bench_growth, bench_inputs, bench_qp, bench_report
 from tests.workshop.bench.bench_mpc import (
     PROXIMAL,
     augmented_model,
@@ -275,3 +278,11 @@ def test_the_model_of_the_other_tools_is_that_of_ampc() -> None:
         for found, expected in zip(augmented_model(v_x), (A, B), strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-9)
     assert qp_of(Task(GAINS, math.inf, recorded_ticks()[0])).M.shape == (30, 5)
+
+
+def test_the_message_of_a_long_path_is_the_one_that_ros_writes() -> None:
+    points = np.random.default_rng(1).normal(size=(9, 2))
+    expected = serialize_message(ros.path_message(points, 5, "map"))
+    table = bench_inputs.serialized(points)
+    assert len(table) == len(expected)
+    assert has_positions_of(table, expected)

@@ -44,6 +44,11 @@ if TYPE_CHECKING:
 
 WRITE_PERIOD = 0.3
 """Wall time between two batches [s]."""
+TAKE_PERIOD = 0.05
+"""Wall time between two looks at the queues of all topics [s]. Waiting for each message would build
+the wait set of 30 topics anew for each one, at many times the processor time."""
+CALLBACKS = 4
+"""Largest number of callbacks (timer, events) that run in a batch."""
 HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 QUIET = 0.3
@@ -174,6 +179,12 @@ class Recorder(Node):
                 if arrival.publish_ns < self.end_ns:
                     self.last_arrival = time.monotonic()
             taken = take_serialized(self.inputs[topic])
+
+    def take_arrived(self) -> None:
+        """Queue all messages that have arrived."""
+        for topic, subscription in list(self.inputs.items()):
+            if taken := take_serialized(subscription):
+                self.on_message(topic, *taken)
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware dropped."""
@@ -318,15 +329,30 @@ def record(recorder: Recorder, signals: list[int]) -> None:
     """
     executor = SingleThreadedExecutor()
     executor.add_node(recorder)
+    batch = time.monotonic()
     while not signals and not recorder.fault:
-        recorder.failed.run_next(executor, timeout=0.1)
+        time.sleep(TAKE_PERIOD)
+        take_safely(recorder)
+        if time.monotonic() - batch >= WRITE_PERIOD:
+            batch = time.monotonic()
+            for _ in range(CALLBACKS):
+                recorder.failed.run_next(executor, timeout=0.0)
     recorder.end_ns = time.time_ns()
     recorder.last_arrival = time.monotonic()
     while time.monotonic() - recorder.last_arrival < QUIET and not recorder.fault:
-        recorder.failed.run_next(executor, timeout=0.05)
+        take_safely(recorder)
+        recorder.failed.run_next(executor, timeout=0.02)
     if recorder.fault:
         raise recorder.fault
     recorder.close()
+
+
+def take_safely(recorder: Recorder) -> None:
+    """Queue all messages that have arrived; a failure is counted and logged."""
+    try:
+        recorder.take_arrived()
+    except Exception as error:  # of the middleware, or of a message
+        recorder.failed.store(error)
 
 
 def main() -> int:

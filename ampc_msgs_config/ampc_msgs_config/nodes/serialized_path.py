@@ -9,7 +9,7 @@ Source: OMG, DDS-XTYPES 1.3, section 7.4 (plain CDR, version 1).
 """
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,9 @@ HEADER = 4
 """Length of the encapsulation header, which does not count for the alignment [bytes]."""
 NUMBERS = 56
 """Length of position and orientation [bytes]."""
-MAX_POSES = 500_000
+MAX_POSES = 1_000_000
 """Largest number of poses of a path."""
-MAX_PATH_BYTES = 64_000_000
+MAX_PATH_BYTES = 128_000_000
 """Largest size of a serialised path [bytes]."""
 
 
@@ -82,28 +82,76 @@ def positions(data: bytes, start: PathPreamble) -> Array:
     points = np.empty((start.poses, 2))
     if not start.poses:
         return points
+    table = _layout(data, start)
+    text = table.frame[4:].rstrip(b"\0").decode(errors="replace")
+    if text not in ("", start.frame_id):
+        raise NotTabular
+    points[0] = np.frombuffer(data, "<f8", 2, table.first)
+    if start.poses > 1:
+        rows = _rows(data, start, table, np.uint8)
+        at, end = table.row - NUMBERS, 8 + len(table.frame)
+        if (rows[:, 8:end] != rows[0, 8:end]).any() or rows[0, 8:end].tobytes() != table.frame:
+            raise NotTabular
+        points[1:] = np.ascontiguousarray(rows[:, at : at + 16]).view("<f8")
+    check_finite(points)
+    return points
+
+
+def has_positions_of(data: bytes, other: bytes) -> bool:
+    """Return whether a path has frames and positions of another one, at the same addresses.
+
+    Stamps, orientations and heights may differ. False also where one of them is not a table.
+    """
+    if len(data) != len(other):
+        return False
+    try:
+        start = preamble(data)
+        if preamble(other)[1:] != start[1:] or not start.poses:
+            return False
+        table = _layout(data, start)
+        if _layout(other, start) != table:
+            return False
+    except (NotTabular, ValueError):
+        return False
+    if data[table.first : table.first + 16] != other[table.first : table.first + 16]:
+        return False
+    a, b = _rows(data, start, table, np.uint64), _rows(other, start, table, np.uint64)
+    columns = range(1, (table.row - NUMBERS) // 8 + 2)  # without the stamp
+    return all(np.array_equal(a[:, column], b[:, column]) for column in columns)
+
+
+class _Layout(NamedTuple):
+    """Layout of poses in rows of equal length."""
+
+    frame: bytes
+    """Frame of the first pose, serialised."""
+    first: int
+    """Address of the numbers of the first pose."""
+    row: int
+    """Length of the rows of all following poses [bytes]."""
+
+
+def _layout(data: bytes, start: PathPreamble) -> _Layout:
+    """Return the layout of at least one pose.
+
+    Raises:
+        NotTabular: The length of the message is not that of a table.
+    """
     try:
         (length,) = struct.unpack_from("<I", data, start.offset + 8)
     except struct.error as error:
         raise NotTabular from error
-    text = data[start.offset + 12 : start.offset + 12 + length]
-    first = HEADER + _aligned(start.offset - HEADER + 12 + length, 8)  # its numbers
-    table, row = first + NUMBERS, _aligned(12 + length, 8) + NUMBERS
-    fits = 0 <= len(data) - table - (start.poses - 1) * row < 8
-    if text.rstrip(b"\0").decode(errors="replace") not in ("", start.frame_id) or not fits:
+    first = HEADER + _aligned(start.offset - HEADER + 12 + length, 8)
+    row = _aligned(12 + length, 8) + NUMBERS
+    if not 0 <= len(data) - first - NUMBERS - (start.poses - 1) * row < 8:
         raise NotTabular
-    points[0] = np.frombuffer(data, "<f8", 2, first)
-    if start.poses > 1:
-        shape = (start.poses - 1, row)
-        rows = np.frombuffer(data, np.uint8, shape[0] * row, table).reshape(shape)
-        if (rows[:, 8 : 12 + length] != rows[0, 8 : 12 + length]).any():
-            raise NotTabular
-        if rows[0, 8 : 12 + length].tobytes() != data[start.offset + 8 :][: 4 + length]:
-            raise NotTabular
-        at = row - NUMBERS
-        points[1:] = np.ascontiguousarray(rows[:, at : at + 16]).view("<f8")
-    check_finite(points)
-    return points
+    return _Layout(data[start.offset + 8 : start.offset + 12 + length], first, row)
+
+
+def _rows(data: bytes, start: PathPreamble, table: _Layout, kind: Any) -> Any:
+    """Return the poses after the first one as a table of a type that divides 8 bytes."""
+    shape = start.poses - 1, table.row // np.dtype(kind).itemsize
+    return np.frombuffer(data, kind, shape[0] * shape[1], table.first + NUMBERS).reshape(shape)
 
 
 def check_finite(points: Array) -> None:

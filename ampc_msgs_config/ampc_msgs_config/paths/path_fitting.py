@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline, make_lsq_spline
+from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
+from scipy.linalg import solveh_banded
 
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.paths.smoothing import smoothed
@@ -29,6 +30,8 @@ ROUNDING = 1e-6
 """Rounding of lengths that may not change the result when a path is moved or turned [m]."""
 KNOT_GAP = 1.0
 """Smoothing: least distance of the knots of the spline, so that finer wiggles are averaged [m]."""
+MOST_FOR_SCIPY = 2000
+"""Points up to which SciPy fits a least-squares spline; its time is quadratic in them."""
 MAX_LENGTH = 2.0e6
 """Longest path; an outlier in another frame would fill the memory with samples [m]."""
 MAX_COORDINATE = 1.0e9
@@ -265,7 +268,18 @@ def _spline(chord: Array, corners: Array) -> Any:
         return make_interp_spline(chord, corners, k=degree)
     inner = chord[knots[2:-2]]
     ends = np.repeat(chord[[0, -1]], 4)
-    return make_lsq_spline(chord, corners, np.concatenate((ends[:4], inner, ends[4:])))
+    fit = make_lsq_spline if len(chord) <= MOST_FOR_SCIPY else _least_squares_spline
+    return fit(chord, corners, np.concatenate((ends[:4], inner, ends[4:])))
+
+
+def _least_squares_spline(chord: Array, corners: Array, knots: Array) -> BSpline:
+    """Return the cubic least-squares spline from its normal equations, in linear time."""
+    basis = BSpline.design_matrix(chord, knots, 3)
+    gram = (basis.T @ basis).todia()
+    bands = np.array([np.append(gram.diagonal(-j), np.zeros(j)) for j in range(4)])
+    moments: Any = basis.T @ corners
+    coefficients = solveh_banded(bands, moments, lower=True)
+    return BSpline(knots, coefficients, 3)
 
 
 def _sampled(

@@ -28,7 +28,14 @@ from ampc_ros.nodes.configured_node import ConfiguredNode
 from ampc_ros.nodes.fixed_frame import FixedFrame
 from ampc_ros.nodes.initial_angle import START_WAIT, InitialAngle
 from ampc_ros.nodes.managed_node import lifecycle_state
-from ampc_ros.nodes.received_path import BuiltPath, PathRequest, build_path, header_of, prepare
+from ampc_ros.nodes.received_path import (
+    BuiltPath,
+    PathRequest,
+    RepeatedPath,
+    build_path,
+    header_of,
+    prepare,
+)
 from ampc_ros.nodes.watchdog import WATCH_PERIOD, Watchdog, silence_limit
 from ampc_ros.ros import Outputs
 from ampc_ros.supervision.health import (
@@ -132,7 +139,7 @@ class ControllerNode(ConfiguredNode):
 
     def restart_builder(self) -> None:
         """Start another process."""
-        self.built = BuiltPath(None, None)
+        self.built, self.repeated = BuiltPath(None, None), RepeatedPath()
         self.builder = Background(self.path_ready.trigger, NICENESS)
         self.builder.submit(None, prepare)
 
@@ -232,6 +239,10 @@ class ControllerNode(ConfiguredNode):
         self.newest_path = None if self.frame.name else received
         assert self.builder
         tag = received._replace(data=b""), self.frame.name
+        if self.repeated.matches(received.data, request):
+            self.use_path(*tag, BuiltPath(None, None))
+            return
+        self.repeated.submit(tag, received.data, request)
         self.builder.submit(tag, build_path, pickle.PickleBuffer(received.data), request)
 
     def on_built_path(self) -> None:
@@ -243,6 +254,7 @@ class ControllerNode(ConfiguredNode):
                 if tag:
                     received, fixed_frame = tag
                     self.use_path(received, fixed_frame, built)
+                    self.repeated.complete(tag)
             except ValueError as error:
                 self.reject(error)
         if not self.builder.is_alive:

@@ -8,6 +8,7 @@ import numpy as np
 from ampc_msgs_config.nodes.serialized_path import (
     MAX_POSES,
     NotTabular,
+    has_positions_of,
     positions,
     preamble,
 )
@@ -53,6 +54,35 @@ class BuiltPath(NamedTuple):
     """(n, 2) [m]."""
     path: Path | None
     """None also for a message without poses."""
+
+
+LARGEST_COMPARED = 16_000_000
+"""Size of a message up to which comparing it does not delay a command [bytes]."""
+
+
+class RepeatedPath:
+    """Recognises a path that is sent again with the same positions, before it is built again."""
+
+    def __init__(self) -> None:
+        """Start without a path."""
+        self._data = b""
+        self._request: PathRequest | None = None
+        self._tag: Any = None
+        self._is_built = False
+
+    def submit(self, tag: Any, data: bytes, request: PathRequest) -> None:
+        """Remember the newest path, which is being built; the tag identifies it."""
+        self._tag, self._data, self._request, self._is_built = tag, data, request, False
+
+    def complete(self, tag: Any) -> None:
+        """Remember that the path with this tag is built."""
+        self._is_built = tag is self._tag
+
+    def matches(self, data: bytes, request: PathRequest) -> bool:
+        """Return whether a message is the newest path again, which is built."""
+        if not self._is_built or request != self._request or len(data) > LARGEST_COMPARED:
+            return False
+        return has_positions_of(data, self._data)
 
 
 _newest: tuple[PathRequest, Array, Path] | None = None
