@@ -212,12 +212,14 @@ def test_a_step_of_the_gains_is_measured_and_equal_gains_make_none() -> None:
 
     def largest_step(nodes: list[Gains]) -> float:
         meter = GainStepMeter(subject.controller())
-        meter.controller.table = GainTable([10.0, 20.0], [0.0], nodes).table
+        speeds = np.linspace(10.0, 20.0, len(nodes)).tolist()
+        meter.controller.table = GainTable(speeds, [0.0], nodes).table
         road = measurements.ramp(10.0, 20.0)._replace(start_offset=0.5)
         drive(Simulation(ORDINARY, road), meter)
         return max((size for _, size in meter.steps), default=0.0)
 
     assert largest_step([node, node]) < 1e-9
+    assert largest_step([node] * 30) < 1e-9
     assert largest_step([node, other]) > 1e-5
 
 
