@@ -25,6 +25,7 @@ from ampc_ros.configuration import Choices
 from launch_scripts.run.options import print_vehicle_warnings
 from launch_scripts.run.progress import show_progress
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
+from launch_scripts.tuning.learning import KINDS, check_learnable, learn, schedule_yaml
 from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
 from launch_scripts.tuning.report import (
     TuningReport,
@@ -73,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--particles", type=int, help="of --method paper; default: 20")
     add("--generations", type=int, help="of --method paper; default: 15")
     add("--seeds", nargs="+", type=int, default=[1, 2], help="the best seed counts")
+    add("--schedule", choices=KINDS, help="learn a schedule by speed, curvature and latency")
     add("--output", type=Path, help="file; default: runs/tune/<vehicle>_<...>.yaml")
     add("--resume", action="store_true", help="continue an interrupted tuning")
     add("--workers", type=int, default=os.cpu_count() or 1, help="number of threads")
@@ -123,6 +125,28 @@ def search_and_prove(
         return prove(task, results, workers)
 
 
+def train_schedule(
+    task: TuningTask,
+    chosen: argparse.Namespace,
+    output: Path,
+    workers: Workers,
+    checkpoints: Checkpoints,
+    console: Console,
+) -> None:
+    """Learn a schedule of pole and increment weight, and write its gain file."""
+    check_learnable(task)
+    checkpoints.begin({**task.describe(), "schedule": chosen.schedule}, chosen.resume)
+    with console.status("compiling") as status:
+
+        def show(search: Search, record: SearchRecord) -> None:
+            status.update(f"{search.name}: best fitness {record.fitness.min():.3g}")
+
+        learned = learn(task, chosen.schedule, workers, checkpoints, show)
+    write_atomically(output, schedule_yaml(task, learned, command_of(chosen), output))
+    checkpoints.clear()
+    console.print(f"written: {output}, {len(learned.targets)} targets", markup=False)
+
+
 def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     """Tune, show the proof, and write the files.
 
@@ -135,6 +159,7 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     print_vehicle_warnings(task.vehicle, console)
     words = [Path(task.vehicle).stem, task.formulation, task.kind]
     words += [Path(task.settings).stem] * (task.settings != SETTINGS)
+    words += [chosen.schedule] * bool(chosen.schedule)
     name = f"{'_'.join(words)}.yaml"
     output = chosen.output or Path("runs/tune") / name
     if output.suffix not in (".yaml", ".yml") or output.is_dir():
@@ -142,6 +167,9 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
     with open_workers(*options) as workers:
+        if chosen.schedule:
+            train_schedule(task, chosen, output, workers, checkpoints, console)
+            return
         checkpoints.begin(task.describe(), chosen.resume)
         report = search_and_prove(task, workers, checkpoints, console)
     console.print(report.screen_table())

@@ -15,6 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+import msgspec
+
 from ampc_msgs_config.config import build, find, read_text, shipped
 from ampc_msgs_config.validation import Checked, described, number
 from ampc_msgs_config.vehicle_file import VehicleContent, read_vehicle
@@ -93,7 +95,9 @@ def identity_of(config: Configuration, vehicle: VehicleContent) -> Identity:
     car |= {name: vehicle.sections[name] for name in CAR_SECTIONS if name in vehicle.sections}
     car["estimated"] = vehicle.estimated
     table = gain_table(config.gains)
-    gains = [table.table.speeds.tolist(), table.table.references.tolist(), table.nodes]
+    gains: list[Any] = [table.table.speeds.tolist(), table.table.references.tolist(), table.nodes]
+    if table.schedule:
+        gains.append(msgspec.to_builtins(table.schedule))
     settings = {k: v for k, v in asdict(config.settings).items() if k not in NOT_IN_LOOP}
     return Identity(
         config.controller, content_digest(car), content_digest(gains), content_digest(settings)

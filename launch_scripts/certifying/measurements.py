@@ -13,7 +13,8 @@ from ampc_msgs_config.parameters import cornering_angle
 from ampc_msgs_config.paths.path import Path
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile
 from ampc_msgs_config.types import Array, Plan, VehicleState
-from ampc_ros.mpc.gain_table import Gains, GainTable
+from ampc_ros.mpc.gain_table import Gains
+from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.certifying.linear_loop import (
     CertifiedController,
     spectral_radius,
@@ -265,7 +266,10 @@ class GainStepMeter:
         plan = self.controller.step(state, path)
         gains = gains_in_use(plan)
         if self.gains and gains and gains != self.gains:
-            other.table = GainTable([state.v_x], [0.0], [self.gains]).table
+            rows = len(other.table.nodes)  # as before: the memory holds the node in use
+            other.table = other.table._replace(nodes=np.tile(self.gains, (rows, 1)))
+            if isinstance(other, PreviewMpc):
+                other.schedule = None
             change = abs(plan.steering - other.step(state, path).steering)
             self.steps.append((state.v_x, change))
         self.gains = gains

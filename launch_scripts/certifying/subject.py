@@ -87,6 +87,8 @@ def load_subject(choices: Choices) -> Subject:
         raise ValueError(f"controller = {choices.controller!r} must be one of {names}")
     config, gains = configuration(choices), gain_file(choices)
     assert gains is not None
+    if config.gains.get("schedule"):
+        raise ValueError(f"{gains}: schedule: gains that change within a drive cannot be certified")
     file = find("vehicles", choices.vehicle)
     content = read_vehicle(file)
     subject = Subject(choices, config, load_vehicle_file(file), content, gains)

@@ -31,6 +31,8 @@ LANE_CHANGE_ACCELERATION = 2.5
 """Largest lateral acceleration of the lane change [m/s^2]."""
 CURVATURE = 0.1
 """Largest curvature of the lane change; at walking speed the steering angle limits it [1/m]."""
+STRAIGHT_CURVATURE = 3.0e-4
+"""Curvature that counts as straight: that of the least demanding drives of a schedule [1/m]."""
 LANE_CHANGE_START, LANE_CHANGE_DURATION = 4.0, 14.0
 """Start and duration of the drive with the lane change [s]."""
 SMALL_OFFSET, LARGE_OFFSET = 0.1, 3.0

@@ -20,11 +20,14 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import check_conditioning
 from ampc_ros.preview.controller import PreviewMpc
 from launch_scripts.tuning.drives import (
+    CURVATURE,
     HELD_OUT,
     PLANTS,
     ROADS,
     SETTLING_DEADLINE,
+    STRAIGHT_CURVATURE,
     Plant,
+    lane_change,
     nominal_vehicle,
     simulated_car,
     step_to,
@@ -45,7 +48,9 @@ REFERENCE_PERIOD = 0.1
 """Time over which an increment is measured, so that the fitness does not depend on the rate [s]."""
 JUDGED = "held-out"
 """Kind of the fitness `robust` on the held-out plants, which no search uses."""
-LOST_ERROR = {"paper": 50.0, "robust": 10.0, JUDGED: 10.0}
+SITUATION = "situation"
+"""Kind of the fitness `robust` at one curvature and latency, for learned schedules."""
+LOST_ERROR = {"paper": 50.0, "robust": 10.0, JUDGED: 10.0, SITUATION: 10.0}
 """Cross-track error beyond which a drive has failed, by kind of fitness [m].
 
 The larger one leaves room for the overshoot of steps to 15 m."""
@@ -78,12 +83,16 @@ class Node(NamedTuple):
     """Lateral reference of fitness `paper` [m]."""
     settings: str = SETTINGS
     """Shipped controller settings, or file."""
+    curvature: float = CURVATURE
+    """Largest curvature of the lane change [1/m]."""
 
     @property
     def plants(self) -> tuple[Plant, ...]:
         """Drives that determine the fitness."""
         if self.kind == "paper":
             return (Plant("step", "step"),)
+        if self.kind == SITUATION:
+            return tuple(plant for plant in PLANTS if occurs(plant, self.curvature))
         return HELD_OUT if self.kind == JUDGED else PLANTS
 
 
@@ -103,6 +112,15 @@ def fitness(node: Node, gains: Sequence[Gains] | Array) -> Array:
     if accepted.any():
         result[accepted] = fitness_of_log(node, drive_gain_sets(node, rows[accepted]))
     return result
+
+
+def occurs(plant: Plant, curvature: float) -> bool:
+    """Return whether a plant belongs to a situation: known latency is part of its vehicle.
+
+    A straight road is joined where the curvature is at most STRAIGHT_CURVATURE.
+    """
+    is_own = plant.known_delay == plant.known_lag == 0.0
+    return is_own and (plant.road == "lane change" or curvature <= STRAIGHT_CURVATURE)
 
 
 def is_accepted(node: Node, row: Array) -> bool:
@@ -171,6 +189,7 @@ def combined(cost: Array) -> Array:
 def prepared(node: Node) -> FleetRun:
     """Return the fleet of a node, which is prepared once and never changed."""
     roads = {name: road(node.speed) for name, road in ROADS.items()}
+    roads["lane change"] = lane_change(node.speed, node.curvature)
     roads["step"] = step_to(node.speed, node.reference)
     settings = load(ControllerSettings, find("controllers", node.settings))
     entries = []

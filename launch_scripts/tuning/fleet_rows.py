@@ -75,7 +75,7 @@ def drive_fleet(entries: Sequence[Entry], threads: int = 1, lost: float = math.i
         lost: Cross-track error beyond which a drive ends [m].
 
     Raises:
-        ValueError: A controller cannot follow its path.
+        ValueError: A controller cannot follow its path, or has a learned schedule.
     """
     fleet_run = prepare_fleet(entries, lost)
     return [drive_of_log(log, fleet_run.period_ns) for log in run_fleet(fleet_run, threads)]
@@ -91,6 +91,8 @@ def prepare_fleet(entries: Sequence[Entry], lost: float = math.inf) -> FleetRun:
         same &= entry.controller.period == period and entry.simulation.step_ns == step_ns
         if not same:
             raise ValueError("fleet: controllers must have the same formulation, period and step")
+        if getattr(entry.controller, "schedule", None):
+            raise ValueError("fleet: the gains of a car are constant, it cannot have a schedule")
         for one, other in zip(entry.controller.table[:2], first.controller.table[:2], strict=True):
             if not np.array_equal(one, other):
                 raise ValueError(f"fleet: gain grids must be the same, not {one} and {other}")

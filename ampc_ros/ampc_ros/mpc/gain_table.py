@@ -14,6 +14,7 @@ from ampc_msgs_config.compiled import in_place
 from ampc_msgs_config.interpolation import section
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import Checked, described, hints, number
+from ampc_ros.mpc.gain_schedule import GainSchedule
 
 NONE = -1
 """Node in use before the first lookup."""
@@ -91,6 +92,7 @@ class GainTableFile(Checked):
         described("Lateral references of the nodes, increasing.", most=1000),
     ] = (0.0,)
     gains: tuple[GainSet, ...]
+    schedule: GainSchedule | None = None
     provenance: Annotated[dict[str, Any], described("Origin of the gains, not evaluated.")] = field(
         default_factory=dict
     )
@@ -105,6 +107,8 @@ class GainTableFile(Checked):
         nodes = len(self.speed) * len(self.lateral_reference)
         if len(self.gains) != nodes:
             raise ValueError(f"gains has {len(self.gains)} entries, must have {nodes} for the axes")
+        if self.schedule and nodes != 1:
+            raise ValueError(f"gains has {nodes} entries, must have 1 beside a schedule")
 
 
 class Table(NamedTuple):
@@ -199,11 +203,20 @@ def bracket(axis: Array, place: float) -> tuple[int, float]:
 class GainTable:
     """Grid of gains with the node in use, whose hysteresis keeps the integers from chattering."""
 
-    def __init__(self, speeds: list[float], references: list[float], nodes: list[Gains]) -> None:
-        """Arrange `nodes` over speeds [m/s] x lateral references [m]; references vary fastest."""
+    def __init__(
+        self,
+        speeds: list[float],
+        references: list[float],
+        nodes: list[Gains],
+        schedule: GainSchedule | None = None,
+    ) -> None:
+        """Arrange `nodes` over speeds [m/s] x lateral references [m]; references vary fastest.
+
+        A `schedule` replaces pole and increment weight of a single node in formulation `preview`.
+        """
         axes = np.array(speeds, dtype=float), np.array(references, dtype=float)
         self.table = Table(*axes, np.array(nodes, dtype=float))
-        self.nodes = nodes
+        self.nodes, self.schedule = nodes, schedule
         self.reset()
 
     def lookup(self, speed: float, reference: float = 0.0) -> Lookup:
@@ -249,4 +262,4 @@ def gain_table(content: Mapping[str, Any], where: str = "gain table", key: str =
     """
     table = config.build(GainTableFile, content, where, key)
     nodes = [node.gains for node in table.gains]
-    return GainTable(list(table.speed), list(table.lateral_reference), nodes)
+    return GainTable(list(table.speed), list(table.lateral_reference), nodes, table.schedule)

@@ -43,8 +43,10 @@ class LateralMpc(Controller):
                 gravity [m]; by default `odom` describes the rear axle.
 
         Raises:
-            ValueError: A gain set makes the problem numerically singular.
+            ValueError: A gain set makes the problem numerically singular, or there is a schedule.
         """
+        if table.schedule:
+            raise ValueError("schedule: only the controller preview has a learned schedule")
         self.model_row = pack_internal_model(chassis, settings, None, base_link_to_cg)
         self.model: InternalModel = unpack_internal_model(self.model_row)
         self.period = settings.sample_time

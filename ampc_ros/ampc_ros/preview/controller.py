@@ -10,11 +10,12 @@ from ampc_msgs_config.parameters import (
     ControllerSettings,
     SteeringParameters,
 )
-from ampc_msgs_config.paths.path import Path
+from ampc_msgs_config.paths.path import NOT_CAUGHT, Path, advance
 from ampc_msgs_config.types import NANOSECONDS, Array, Diagnosis, Plan, VehicleState
 from ampc_ros.assumed_car import AssumedCar
 from ampc_ros.controller_interface import Controller, Estimates
-from ampc_ros.mpc.gain_table import GainTable
+from ampc_ros.mpc.gain_schedule import CURVATURE_PREVIEW, GainSchedule, Situation, scheduled_gains
+from ampc_ros.mpc.gain_table import GainTable, Table
 from ampc_ros.mpc.internal_model import (
     ACTUATOR,
     LARGEST_LAG,
@@ -44,11 +45,17 @@ from ampc_ros.preview.tick import (
     store_command,
 )
 
+SCHEDULE_LAG = 1.0
+"""Time constant of scheduled gains: without it the command jumps where a bend comes into view [s].
+"""
+
 
 class PreviewMpc(Controller):
     """Adaptive MPC in path coordinates, the default."""
 
     formulation = "preview"
+    scheduled: tuple[float, float] | None = None
+    """Pole and increment weight of the last tick with a learned schedule."""
 
     def __init__(
         self,
@@ -64,7 +71,7 @@ class PreviewMpc(Controller):
             chassis: Chassis of the internal model.
             steering: Steering actuator of the internal model: limits, delay, lag.
             settings: Limits and solver.
-            table: Gains by speed.
+            table: Gains by speed, or a gain set with a learned schedule.
             base_link_to_cg: Distance from the point that `odom` describes forward to the centre of
                 gravity [m]; by default `odom` describes the rear axle.
         """
@@ -75,7 +82,7 @@ class PreviewMpc(Controller):
         numbers = filter_numbers(vehicle, actuator, settings.sample_time, noise, least_share)
         self.model_row = np.append(row, numbers)
         self.period = settings.sample_time
-        self.table = table.table
+        self.table, self.schedule = table.table, table.schedule
         unknown = LARGEST_LAG if settings.adaptation else 0.0
         ticks = self.most_ticks = math.ceil((steering.delay + unknown) / self.period - 1e-6)
         self.horizon = max(gains.prediction_horizon for gains in table.nodes) + ticks
@@ -90,6 +97,8 @@ class PreviewMpc(Controller):
         self.memory[SENT:] = steering
         self.path: Path | None = None
         self.last_ns: int | None = None
+        if self.schedule:
+            self.scheduled = None
 
     @property
     def estimates(self) -> Estimates:
@@ -126,15 +135,40 @@ class PreviewMpc(Controller):
         last_ns, self.last_ns = self.last_ns, state.stamp_ns
         elapsed = math.nan if last_ns is None else (state.stamp_ns - last_ns) / NANOSECONDS
         points = np.empty((self.horizon, 3))
-        table, scratch = tuple(self.table), tuple(self.scratch)
+        table, outside = self.table, False
+        if self.schedule:
+            table, outside = self.scheduled_table(self.schedule, state, path)
+        gains, scratch = tuple(table), tuple(self.scratch)
         steering, rate, diagnosis = call_preview_tick(
-            self.model_row, table, tuple(path), tuple(state), elapsed, self.memory, scratch, points
+            self.model_row, gains, tuple(path), tuple(state), elapsed, self.memory, scratch, points
         )
         answer = Plan(state.stamp_ns, steering, rate, Diagnosis(*diagnosis))
         if math.isnan(answer.diagnosis.prediction_horizon):
             return answer
+        if outside:
+            answer = answer._replace(diagnosis=answer.diagnosis._replace(outside_table=1.0))
         H = int(answer.diagnosis.prediction_horizon) + self.model.actuator.ticks
         return answer._replace(prediction=points[:H, :2], angles=points[:H, 2])
+
+    def scheduled_table(
+        self, schedule: GainSchedule, state: VehicleState, path: Path
+    ) -> tuple[Table, bool]:
+        """Return a single node with scheduled gains, and whether the speed is outside their range.
+
+        Where an input is not finite the gains are those of the set. They follow any change with
+        SCHEDULE_LAG.
+        """
+        (ticks, share, lag), v_x, index = self.model.actuator, state.v_x, int(self.memory[INDEX])
+        if index == NOT_CAUGHT:
+            _, index = advance(path, index, state.x, state.y, state.yaw)
+        curvature = curvature_ahead(path, index, CURVATURE_PREVIEW * v_x)
+        situation = Situation(v_x, curvature, (ticks + share) * self.period + lag)
+        horizon, moves, terms, pole, Q, R = self.table.nodes[0].tolist()
+        target = scheduled_gains(schedule, situation) or (pole, R)
+        self.scheduled = approach(self.scheduled or target, target, self.period)
+        node = (horizon, moves, terms, self.scheduled[0], Q, self.scheduled[1])
+        outside = not schedule.speed[0] <= v_x <= schedule.speed[1]
+        return self.table._replace(nodes=np.array([node])), outside
 
     def take_over(self, steering: float, *, stepped: bool) -> None:
         """Continue from an angle that another source commanded; see `Controller`."""
@@ -189,3 +223,32 @@ class PreviewMpc(Controller):
         reach = (1.0 + ticks + share + lag / self.period) * self.model.limits.Delta_u_max
         self.memory[STATE_DELTA] = angle
         self.memory[-1] = min(max(self.steering, angle - reach), angle + reach)
+
+
+def approach(
+    gains: tuple[float, float], target: tuple[float, float], T: float
+) -> tuple[float, float]:
+    """Return pole and increment weight one tick of T [s] later; the weight in the logarithm."""
+    share = -math.expm1(-T / SCHEDULE_LAG)
+    (pole, R), (new_pole, new_R) = gains, target
+    return pole + share * (new_pole - pole), R * (new_R / R) ** share
+
+
+def curvature_ahead(path: Path, index: int, distance: float) -> float:
+    """Return the largest |curvature| of a path over a distance from a sample [1/m].
+
+    Args:
+        path: The path; beyond its end it is straight.
+        index: Sample of the last projection, which continues over the laps of a closed path.
+        distance: [m].
+
+    Returns:
+        nan if the distance is not finite.
+    """
+    if not math.isfinite(distance):
+        return math.nan
+    last = len(path.x) - 1
+    count = int(min(max(distance / path.spacing, 0.0), last)) + 1
+    ahead = np.arange(index, index + count)
+    inside = ahead % last if path.closed else ahead[ahead <= last]
+    return float(np.abs(path.curvature[inside]).max(initial=0.0))

@@ -95,7 +95,8 @@ def health(supervisor: Supervisor, record: TickRecord | None, now_ns: int) -> He
             conditions.append(Health(WARN, MODES[int(diagnosis.mode)]))
 
         # The speed, or the lateral reference, lies outside the gain table.
-        axis, v_x = config.gains.get("speed", []), supervisor.state.value.v_x
+        gains, v_x = config.gains, supervisor.state.value.v_x
+        axis = (gains.get("schedule") or gains).get("speed", [])
         if diagnosis.outside_table and len(axis) > 1:
             off = axis[0] - v_x if v_x < axis[0] else v_x - axis[-1]
             text = "lateral reference outside the gain table"

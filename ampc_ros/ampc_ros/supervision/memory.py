@@ -34,8 +34,9 @@ CLASSES = {
     )
 }
 """Classes of values that a new supervisor does not have yet."""
-NOT_STORED = ("_config", "_filter", "odometry", "_plan_start")
-"""Attributes of a supervisor that no replayed tick reads: accepted states are in the recording."""
+NOT_STORED = ("_config", "_filter", "odometry", "_plan_start", "schedule")
+"""Attributes of a supervisor that no replayed tick reads, as accepted states are in the recording,
+and the learned schedule, which is in the configuration."""
 MOST_SAMPLES = 20_000
 """Number of samples of the largest path that is stored; 5 km."""
 VARIABLE = ("angles", "prediction", "_points")
