@@ -162,6 +162,8 @@ def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
     words += [chosen.schedule] * bool(chosen.schedule)
     name = f"{'_'.join(words)}.yaml"
     output = chosen.output or Path("runs/tune") / name
+    if output.suffix not in (".yaml", ".yml") or output.is_dir():
+        raise ValueError(f"--output {output}: must be a file that ends with .yaml")
     checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
     options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
     with open_workers(*options) as workers:

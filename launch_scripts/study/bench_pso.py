@@ -57,6 +57,8 @@ NAMES = [problem.name for problem in PROBLEMS]
 Runs = Mapping[tuple[str, str], Array]
 """Best value after each generation (seeds, GENERATIONS + 1), by names of problem and method."""
 NOTE = """\
+# Search methods compared
+
 ![median curves](bench_pso.png)
 
 The paper shows 41 generations, but its Table 2 has G = 15. It states neither a velocity clamp nor a

@@ -121,4 +121,11 @@ def tuning_tables(results: Mapping[str, Any], seeds: int) -> list[str]:
         "",
         *markdown_table(headings, rows, "ll"),
         "",
+        "Targets of `pso`:",
+        "",
+        *(
+            f"* {bar}: {'met' if holds else '**not met**'}"
+            for bar, holds in tuning_bars(results).items()
+        ),
+        "",
     ]

@@ -169,6 +169,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen.update.parent.mkdir(parents=True, exist_ok=True)
     draw_tables(tables, picture)
     verdicts = [f"* `{item.name}`: {item.proof['verdict']}." for item in tables]
+    verdicts += [
+        f"* `{item.name}`: condition 2 of the rule is **not met**: {item.proof['warning']}."
+        for item in tables
+        if item.proof["warning"]
+    ]
     command = "`python -m launch_scripts.study.shipped_tables --update ampc_ros/doc/tables.md`"
     figure = f"![fitness over speed]({picture.name})"
     parts = [INTRODUCTION, *lines, "", *verdicts, "", figure, "", f"Command: {command}.", ""]

@@ -34,6 +34,7 @@ POLISH_TOLERANCE = 1e-4
 """Edge of the simplex, and relative difference of the fitness, at which a polish ends."""
 MIN_DISTANCE = 0.15
 """Distance from all earlier polishes at which another one starts."""
+NO_CMA = "--method cma needs the package cma: pip install cma==4.5.0"
 CMA_STEP = 0.25
 """Initial standard deviation of CMA-ES: a quarter of the range, as its author recommends."""
 
@@ -231,7 +232,7 @@ def cma_es(record: SearchRecord, rng: np.random.Generator) -> None:
         ValueError: The package `cma` is not installed.
     """
     if not has_cma():
-        raise ValueError("--method cma needs the package cma: pip install cma==4.5.0")
+        raise ValueError(NO_CMA)
     from cma import CMAEvolutionStrategy
 
     d = len(record.dimensions)

@@ -66,6 +66,13 @@ class TuningReport(NamedTuple):
     """Results of the other seeds, and Table 3."""
     not_reached: tuple[tuple[float, float], ...]
     """Speed and lateral reference of the nodes without gains of their own."""
+    kind: str = "robust"
+    """Key of FITNESS; only `robust` has held-out plants."""
+
+    @property
+    def judged_on(self) -> str:
+        """What decides: the drives of a search are never repeated for the decision."""
+        return "on held-out plants" if self.kind == "robust" else "at speeds between the nodes"
 
     @property
     def saving(self) -> float:
@@ -91,22 +98,19 @@ class TuningReport(NamedTuple):
     def verdict(self) -> str:
         """The decision and its reason in one sentence."""
         if not any(map(math.isfinite, self.single.judged)):
-            return "no single gain set brings every car through: " + (
-                "table written" if self.is_table else "single gain set written"
-            )
+            return "no single gain set brings every car through: table written"
         if math.isinf(self.saving):
-            return "the table loses a car on held-out plants: single gain set written"
+            return f"the table loses a car {self.judged_on}: single gain set written"
         saved = f"{round(100 * self.saving)}%"
         if self.is_table:
             better = "the table beats the best single gain set"
-            return f"{better} by {saved} on held-out plants: table written"
+            return f"{better} by {saved} {self.judged_on}: table written"
         if self.saving < MIN_SAVING:
             return (
-                f"the table does not beat the best single gain set by {MIN_SAVING:.0%} on held-out "
-                f"plants ({saved}): single gain set written"
+                f"the table does not beat the best single gain set by {MIN_SAVING:.0%} "
+                f"{self.judged_on} ({saved}): single gain set written"
             )
-        lost = f"{self.loss(self.table):.0%}"
-        reason = f"at one speed the table is worse than the hand-set gains by {lost}"
+        reason = f"at one speed the table is {worse(self.loss(self.table))} than the hand-set gains"
         return f"{reason}: single gain set written"
 
     @property
@@ -115,8 +119,7 @@ class TuningReport(NamedTuple):
         lost, name = self.loss(self.written), self.hand_set.name.removeprefix("shipped ")
         if lost <= MAX_LOSS:
             return ""
-        share = f"up to {lost:.1%} worse" if math.isfinite(lost) else "worse: they lose a car"
-        return f"at one speed or more the written gains are {share} than the hand-set {name}"
+        return f"at one speed or more the written gains are {worse(lost)} than the hand-set {name}"
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -125,18 +128,21 @@ class TuningReport(NamedTuple):
 
     def screen_table(self) -> Table:
         """Return the table for the screen."""
-        headings = "gains", "training: at the nodes", "held-out: at the nodes", "between", "lost"
+        other = "held-out" if self.kind == "robust" else "the same"
+        headings = "gains", "training: at the nodes", f"{other}: at the nodes", "between", "lost"
         table = Table(*headings, box=SIMPLE_HEAD)
         for item in self.candidates:
             values = item.fitness, item.held_out, item.between
             lost = sum(map(math.isinf, (*item.held_out, *item.between)))
-            table.add_row(item.name, *(f"{mean(each):.4g}" for each in values), str(lost or ""))
+            cells = [f"{mean(each):.4g}" if each else "" for each in values]
+            table.add_row(item.name, *cells, str(lost or ""))
         return table
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON values; an infinite fitness is null."""
         return {
             "verdict": self.verdict,
+            "warning": self.warning,
             "saving": finite([self.saving])[0],
             "written": self.written.name,
             "worse_than_hand_set": finite([self.loss(self.written)])[0],
@@ -152,6 +158,13 @@ class TuningReport(NamedTuple):
                 for item in self.candidates
             },
         }
+
+
+def worse(loss: float) -> str:
+    """Return in words by how much gains are worse; infinite: they lose a car."""
+    if math.isinf(loss):
+        return "worse (they lose a car)"
+    return f"{1.0 + loss:.0f} times worse" if loss >= 1.0 else f"up to {loss:.1%} worse"
 
 
 def means(item: Candidate) -> list[float]:
@@ -251,7 +264,14 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
     others = tuple(item for item in candidates.values() if item not in compared)
     own = gains[TABLE_SEARCH, int(table.name.split()[-1])]
     at = [(node.speed, node.reference) for node in task.nodes()]
-    return TuningReport(*compared, others, tuple(place for place in at if place not in own))
+    not_reached = tuple(place for place in at if place not in own)
+    report = TuningReport(*compared, others, not_reached, task.kind)
+    if single.name == NO_SINGLE and not report.is_table:
+        raise ValueError(
+            "search: neither a table nor a single gain set brings every car through: choose other "
+            "bounds or speeds"
+        )
+    return report
 
 
 def hand_set_table(task: TuningTask) -> str:
@@ -280,9 +300,10 @@ def evaluate_tables(
 def provenance(task: TuningTask, report: TuningReport, command: str) -> dict[str, Any]:
     """Return the origin of the gains as YAML values.
 
-    The fitness is in the order of the rows of the table, null where a node is not reachable.
+    The fitness is that of the written gains at each speed and lateral reference of the task, the
+    references fastest, null where a node is not reachable.
     """
-    at_nodes = iter(report.table.fitness)
+    at_nodes = iter(report.written.fitness)
     return {
         "command": command,
         **task.describe(),
@@ -310,6 +331,7 @@ def table_yaml(task: TuningTask, report: TuningReport, origin: dict[str, Any]) -
         f"# Gains of the {task.formulation} formulation for vehicle {origin['vehicle']}, "
         f"found by method {task.method}.",
         f"# {report.verdict[0].upper()}{report.verdict[1:]}.",
+        *([f"# {report.warning[0].upper()}{report.warning[1:]}."] if report.warning else []),
         f"# Again: {origin['command']}",
     ]
     if report.is_table:

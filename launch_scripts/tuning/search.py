@@ -85,10 +85,11 @@ class Checkpoints:
         if not resume:
             if saved is not None:
                 raise ValueError(
-                    f"{self.folder}: holds an interrupted search: continue it with --resume, or "
-                    "choose another --output"
+                    f"{self.folder}: holds an interrupted search: continue it with --resume, "
+                    "choose another --output, or delete the folder"
                 )
-            write_atomically(self.folder / TASK, json.dumps(task, indent=1) + "\n")
+            text = json.dumps(task, indent=1) + "\n"
+            write_atomically(self.folder / TASK, text, "nothing was searched")
             return
         if saved is None:
             raise ValueError(f"{self.folder}: nothing to resume")

@@ -24,6 +24,7 @@ from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.swarm import Dimension, swarm_space
 from launch_scripts.tuning.drives import DEFINITION
 from launch_scripts.tuning.fitness import REFERENCE_PERIOD, SETTINGS, Node, fitness
+from launch_scripts.tuning.methods import NO_CMA, has_cma
 from sim_vehicle.parameters import load_vehicle_file
 
 SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
@@ -269,6 +270,7 @@ class TuningTask(NamedTuple):
     def describe(self) -> dict[str, Any]:
         """Return the task as JSON and YAML values, for checkpoints and the origin of a table."""
         tuned = {symbol: [low, high] for symbol, low, high in self.space.bounds}
+        searched = {symbol.removesuffix("/v^2") for symbol in tuned}
         fixed = zip(SYMBOLS, self.space.fixed, strict=True)
         file = Path(self.vehicle)
         return {
@@ -281,8 +283,9 @@ class TuningTask(NamedTuple):
             "speed": list(self.speeds),
             "lateral_reference": list(self.references),
             "bounds": tuned,
-            "fixed": {symbol: value for symbol, value in fixed if symbol not in tuned},
-            "settings": self.settings,
+            "fixed": {symbol: value for symbol, value in fixed if symbol not in searched},
+            "settings": Path(self.settings).name,
+            "settings_sha256": sha256(find("controllers", self.settings).read_bytes()),
             "method": self.method,
             "evaluations": self.evaluations,
             "generation": self.generation,
@@ -380,6 +383,8 @@ def read_task(chosen: argparse.Namespace) -> TuningTask:
         ValueError: Names option or key, value and bound.
     """
     preset = PRESETS[chosen.formulation]
+    if chosen.method == "cma" and not has_cma():
+        raise ValueError(NO_CMA)
     kind = chosen.fitness or preset.kind
     references = preset.references if kind == "paper" else (0.0,)
     evaluations, generation = read_budget(chosen, preset)
@@ -449,6 +454,8 @@ def read_space(chosen: argparse.Namespace, fixed_gains: Gains) -> SearchSpace:
         if symbol in (*SYMBOLS, BY_SPEED) and symbol.removesuffix("/v^2") not in tuned:
             raise ValueError(f"--bounds {symbol}: is not among the tuned, {', '.join(tuned)}")
         if symbol in ("R", BY_SPEED):  # one of them replaces the other
+            if sum(each.startswith(("R=", f"{BY_SPEED}=")) for each in chosen.bounds) > 1:
+                raise ValueError(f"--bounds {text}: R has bounds already: name R or {BY_SPEED}")
             bounds = {key: ends for key, ends in bounds.items() if key not in ("R", BY_SPEED)}
         try:
             bounds[symbol] = (float(low), float(high))
@@ -458,6 +465,8 @@ def read_space(chosen: argparse.Namespace, fixed_gains: Gains) -> SearchSpace:
         symbol, _, value = text.partition("=")
         if symbol not in SYMBOLS:
             raise ValueError(f"--fix {text}: unknown gain; known are {', '.join(SYMBOLS)}")
+        if symbol in tuned:
+            raise ValueError(f"--fix {text}: {symbol} is tuned: name the tuned gains with --tune")
         field = FIELDS[symbol]
         try:
             fixed[field] = int(value) if field in INTEGERS else float(value)
