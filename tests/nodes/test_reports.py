@@ -97,7 +97,7 @@ def test_outside_of_what_was_tuned_the_report_says_how_far(
     world, node = controller
     highest = node.supervisor.config.gains["speed"][-1]
     node.on_path(path([(20.0 * i, 0.0) for i in range(100)]))
-    level, said = world.at(0.1, node, v_x=highest + 2.5)
+    level, said = world.at(0.1, node, v_x=highest + 2.5, y=0.0, yaw=0.0)  # nothing to steer
     assert level == WARN
     assert f"{highest + 2.5:.1f} m/s is 2.5 m/s outside the gain table" in said
     values = {each.key: float(each.value) for each in world.last.values}

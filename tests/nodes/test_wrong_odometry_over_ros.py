@@ -20,8 +20,9 @@ pytestmark = pytest.mark.usefixtures("own_domain")
 
 RADIUS = 25.0
 """Of the circle that the car drives [m]."""
-GIVEN = {"gain_table": "preview_paper", "static_path": "true"}
-"""Parameters of the controller."""
+GIVEN = {"gain_table": "preview", "static_path": "true"}
+"""Parameters of the controller. With tuned gains of any version, odometry 3.7 m ahead of the rear
+axle leads the car off its path before it is recognised, and what follows is a matter of chance."""
 
 
 class Defective(Foreign):
