@@ -10,7 +10,7 @@ import os
 import shlex
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 if not __package__:  # run as a file
@@ -23,9 +23,15 @@ from ampc_msgs_config.config import schema_line, shipped, shipped_schema
 from ampc_ros.certificate import certify_command
 from ampc_ros.configuration import Choices
 from launch_scripts.run.options import print_vehicle_warnings
-from launch_scripts.run.progress import show_progress
+from launch_scripts.run.progress import Advance, show_progress
 from launch_scripts.tuning.fitness import FITNESS, SETTINGS
-from launch_scripts.tuning.learning import KINDS, check_learnable, learn, schedule_yaml
+from launch_scripts.tuning.learning import (
+    KINDS,
+    check_learnable,
+    learn,
+    schedule_searches,
+    schedule_yaml,
+)
 from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
 from launch_scripts.tuning.report import (
     TuningReport,
@@ -97,6 +103,21 @@ def command_of(chosen: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
+def counting(advance: Advance) -> Callable[[Search, SearchRecord], None]:
+    """Return a function that counts new evaluations of searches, in any thread."""
+    shown: dict[str, int] = {}
+    lock = threading.Lock()
+
+    def show(search: Search, record: SearchRecord) -> None:
+        with lock:
+            new = len(record.fitness) - shown.get(search.name, 0)
+            shown[search.name] = len(record.fitness)
+            stage = f"{search.name}, best fitness {record.fitness.min():.3g}"
+            advance(new * len(search.nodes), stage)
+
+    return show
+
+
 def search_and_prove(
     task: TuningTask, workers: Workers, checkpoints: Checkpoints, console: Console
 ) -> TuningReport:
@@ -108,16 +129,7 @@ def search_and_prove(
             search.drives for search in searches if search.purpose == TABLE_SEARCH
         )
     with show_progress(console, "tuning", total) as advance:
-        shown: dict[str, int] = {}
-        lock = threading.Lock()
-
-        def show(search: Search, record: SearchRecord) -> None:
-            with lock:
-                new = len(record.fitness) - shown.get(search.name, 0)
-                shown[search.name] = len(record.fitness)
-                stage = f"{search.name}, best fitness {record.fitness.min():.3g}"
-                advance(new * len(search.nodes), stage)
-
+        show = counting(advance)
         results = run_searches(searches, workers, checkpoints, show)
         if polishes := polish_searches(task, results):
             results |= run_searches(polishes, workers, checkpoints, show)
@@ -136,12 +148,9 @@ def train_schedule(
     """Learn a schedule of pole and increment weight, and write its gain file."""
     check_learnable(task)
     checkpoints.begin({**task.describe(), "schedule": chosen.schedule}, chosen.resume)
-    with console.status("compiling") as status:
-
-        def show(search: Search, record: SearchRecord) -> None:
-            status.update(f"{search.name}: best fitness {record.fitness.min():.3g}")
-
-        learned = learn(task, chosen.schedule, workers, checkpoints, show)
+    total = sum(search.drives for search in schedule_searches(task))
+    with show_progress(console, "training", total) as advance:
+        learned = learn(task, chosen.schedule, workers, checkpoints, counting(advance))
     write_atomically(output, schedule_yaml(task, learned, command_of(chosen), output))
     checkpoints.clear()
     console.print(f"written: {output}, {len(learned.targets)} targets", markup=False)

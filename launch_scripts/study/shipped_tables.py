@@ -45,9 +45,9 @@ INTRODUCTION = """\
 Every tuned table was judged by the [rule](table_rule.md) that had been written before. Numbers are
 the fitness on the 14 held-out plants (mean squared error plus effort [m2]; geometric mean of the
 average and the worst drive), as the geometric mean over the speeds half-way between the nodes.
-*Best possible* is a search at each speed on the held-out plants themselves, which nothing that is
-tuned on other plants can reach. The proof of each table, with the gains and the fitness of all
-candidates at each speed, is the file `<table>.json` beside it in
+*Best possible* is a search of the tuned gains at each speed on the held-out plants themselves,
+which nothing that is tuned on other plants can reach. The proof of each table, with the gains and
+the fitness of all candidates at each speed, is the file `<table>.json` beside it in
 `ampc_msgs_config/ampc_msgs_config/config/gains/`.
 """
 

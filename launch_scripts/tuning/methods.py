@@ -55,7 +55,7 @@ class SearchRecord:
         known: tuple[Array, Array] | None = None,
         save: Callable[["SearchRecord"], None] = lambda record: None,
     ) -> None:
-        """SearchRecord the evaluations of a cost function.
+        """Start without an evaluation of a cost function.
 
         Args:
             cost: Fitness (n,) at positions (n, d), integer dimensions rounded.

@@ -29,6 +29,7 @@ from launch_scripts.tuning.task import (
     TuningTask,
     geometric_mean,
     is_reachable,
+    sample_time,
 )
 from launch_scripts.tuning.workers import Workers
 
@@ -275,10 +276,13 @@ def prove(task: TuningTask, results: dict[str, SearchResult], workers: Workers) 
 
 
 def hand_set_table(task: TuningTask) -> str:
-    """Return the name of the hand-set gains of formulation and settings."""
-    name = DEFAULT_TABLES[task.formulation]
-    own = f"{name}_{task.settings}"
-    return own if own in shipped("gains") else name
+    """Return the name of the hand-set gains of the formulation, for the period of the settings.
+
+    Where none are shipped for this period the result is that of the default settings.
+    """
+    name, period = DEFAULT_TABLES[task.formulation], sample_time(task.settings)
+    same = [f"{name}_{each}" for each in shipped("controllers") if sample_time(each) == period]
+    return next((own for own in same if own in shipped("gains")), name)
 
 
 def evaluate_tables(

@@ -475,14 +475,18 @@ def read_space(chosen: argparse.Namespace, fixed_gains: Gains) -> SearchSpace:
     return search_space(bounds, Gains(**fixed))
 
 
+def sample_time(settings: str) -> float:
+    """Return the period of shipped controller settings, or of a file [s]."""
+    return float(load(ControllerSettings, find("controllers", settings)).sample_time)
+
+
 def scale_to_period(settings: str, bounds: dict[str, Bounds], fixed: dict[str, Any]) -> None:
     """Change bounds and fixed gains for 10 Hz to the period of other settings.
 
     With k ticks in 0.1 s the same loop has a pole that is the k-th root, and an increment weight
     k^2 times as large. The horizon spans the same time, up to MAX_HORIZON.
     """
-    period = load(ControllerSettings, find("controllers", settings)).sample_time
-    k = REFERENCE_PERIOD / period
+    k = REFERENCE_PERIOD / sample_time(settings)
     if k <= 1.0:
         return
     N_p = min(round(k * fixed["prediction_horizon"]), MAX_HORIZON)

@@ -8,7 +8,7 @@ import pytest
 
 from ampc_msgs_config.types import Array
 from ampc_ros.pso.minimize import minimize, search
-from ampc_ros.pso.swarm import Dimension, PsoSettings, swarm_from_json, swarm_to_json
+from ampc_ros.pso.swarm import Dimension, PsoSettings
 from launch_scripts.study.pso_variants import VARIANTS, VariantSettings
 
 LINE = (Dimension("x", -10.0, 10.0),)
@@ -34,7 +34,7 @@ def test_a_cost_that_always_fails_ends_with_the_worst_fitness(variant: str) -> N
     assert best.fitness == math.inf
     assert np.all(np.isinf(best.history))
     assert best.evaluations.tolist() == [20, 40, 60, 80]
-    assert swarm_from_json(swarm_to_json(best.swarm)).best_fitness.tolist() == [math.inf] * 20
+    assert best.swarm.best_fitness.tolist() == [math.inf] * 20
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

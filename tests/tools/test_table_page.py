@@ -11,6 +11,7 @@ from ampc_ros.mpc.gain_table import load_gain_table
 from launch_scripts.study import shipped_tables
 from launch_scripts.study.shipped_tables import Judged, judged_table, judged_tables, main, task_of
 from launch_scripts.tuning.fitness import JUDGED, fitness
+from launch_scripts.tuning.methods import SearchRecord, run_method
 
 
 class Immediate:
@@ -55,7 +56,15 @@ def test_the_search_for_the_best_possible_uses_the_held_out_cars(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(shipped_tables, "BEST_EVALUATIONS", 12)
+    kinds: list[str] = []
+
+    def watched(name: str, record: SearchRecord, rng: np.random.Generator) -> SearchRecord:
+        kinds.extend(node.kind for node in record.cost.args[0])  # type: ignore[attr-defined]
+        return run_method(name, record, rng)
+
+    monkeypatch.setattr(shipped_tables, "run_method", watched)
     found = shipped_tables.best_possible("preview_ordinary", 9.5)
+    assert kinds == [JUDGED]
     node = task_of("preview_ordinary").nodes((9.5,))[0]._replace(kind=JUDGED)
     shipped_gains = load_gain_table("preview_ordinary").lookup(9.5).gains
     assert found < 1.5 * fitness(node, [shipped_gains])[0]

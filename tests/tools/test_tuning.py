@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from launch_scripts.tune import build_parser, command_of, main
 from launch_scripts.tuning.methods import SearchRecord
+from launch_scripts.tuning.report import hand_set_table
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
     DEFAULT_BOUNDS,
@@ -83,6 +85,17 @@ def test_bounds_follow_the_period_of_the_settings(settings: str, ticks: int) -> 
     assert fast.fixed.prediction_horizon == 100
     assert fast.fixed.control_horizon == 80
     assert fast.fixed.laguerre_terms == slow.fixed.laguerre_terms
+
+
+@pytest.mark.parametrize(("settings", "name"), [("table3", "preview"), ("50hz", "preview_50hz"),
+                                                ("100hz", "preview_100hz")])  # fmt: skip
+def test_hand_set_gains_are_those_of_the_period_whatever_the_file_is_called(
+    settings: str, name: str, tmp_path: Path
+) -> None:
+    own = tmp_path / "mine.yaml"
+    own.write_bytes(find("controllers", settings).read_bytes())
+    assert hand_set_table(task("--settings", settings)) == name
+    assert hand_set_table(task("--settings", str(own))) == name
 
 
 def test_the_literal_method_tunes_what_the_authors_tune() -> None:

@@ -1,4 +1,4 @@
-"""Data of a particle swarm: search space, settings with Eqs. (33)-(34), state, JSON form."""
+"""Data of a particle swarm: search space, settings with Eqs. (33)-(34), state."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -192,28 +192,3 @@ def swarm_space(dimensions: Sequence[Dimension]) -> Space:
             )
     low, high = (np.array([getattr(d, key) for d in dimensions], float) for key in ("low", "high"))
     return Space(low, high, np.array([d.integer for d in dimensions]))
-
-
-def swarm_to_json(swarm: Swarm) -> dict[str, Any]:
-    """Return a swarm as a JSON object without loss; an infinite fitness becomes null.
-
-    Note:
-        Requires a bit generator whose state consists of plain numbers, such as PCG64, the default.
-    """
-    content = swarm._asdict()
-    for name, value in content.items():
-        if isinstance(value, np.ndarray):
-            cells = value.astype(object)
-            cells[~np.isfinite(value)] = None
-            content[name] = cells.tolist()
-    return content
-
-
-def swarm_from_json(content: dict[str, Any]) -> Swarm:
-    """Return the swarm that `swarm_to_json` wrote."""
-    values_of = {**content, "weights": Weights(*content["weights"])}
-    for name in ("position", "velocity", "fitness", "best_position", "best_fitness", "history"):
-        values = np.array(content[name], float)
-        values_of[name] = np.where(np.isfinite(values), values, np.inf)
-    values_of["evaluations"] = np.array(content["evaluations"], np.int64)
-    return Swarm(**values_of)
