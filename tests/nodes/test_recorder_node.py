@@ -34,6 +34,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from ampc_msgs_config import ros
+from ampc_msgs_config.nodes import recorder_node
 from ampc_msgs_config.nodes.recorder_node import (
     CONTRACT,
     EVERYTHING,
@@ -79,6 +80,41 @@ def test_messages_are_written_in_the_order_of_publishing_and_at_simulated_times(
     arrivals.waiting.append(Arrival(8, 100, "/odom", b""))
     assert not list(arrivals.take_before(100))
     assert len(list(arrivals.take_before(101))) == 1
+
+
+def test_a_message_received_during_a_look_at_the_queues_keeps_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting: dict[str, list[Any]] = {ros.CLOCK: [], full(ros.ODOM): []}
+    looks: list[str] = []
+
+    def receive(topic: str, tick: int) -> None:
+        info = {"source_timestamp": tick, "received_timestamp": time.time_ns()}
+        data = serialize_message(sample(topic if topic == ros.CLOCK else ros.ODOM, tick * TICK_NS))
+        waiting[topic].append((data, info | {"publication_sequence_number": 1}))
+
+    def take(subscription: Any) -> Any:
+        topic = subscription.topic_name
+        taken = waiting[topic].pop(0) if waiting.get(topic) else None
+        looks.extend([topic] * (topic == ros.CLOCK and taken is None))
+        if looks == [ros.CLOCK]:  # a clock comes right after the first look that finds none
+            looks.append("again")
+            receive(ros.CLOCK, 8)
+            receive(full(ros.ODOM), 9)
+        return taken
+
+    monkeypatch.setattr(recorder_node, "take_serialized", take)
+    monkeypatch.setattr(recorder_node, "HOLD", 0.0)
+    receive(ros.CLOCK, 7)
+    with ros_context(output=tmp_path / "bag", use_sim_time=True) as executor:
+        recorder = Recorder()
+        add(executor, recorder)
+        for _ in range(3):
+            recorder.take_arrived()
+            recorder.write_waiting()
+        recorder.close()
+    (odometry,) = read(tmp_path / "bag", [full(ros.ODOM)])
+    assert odometry.log_time_ns == 8 * TICK_NS
 
 
 def test_messages_without_a_clock_are_kept_until_the_end() -> None:

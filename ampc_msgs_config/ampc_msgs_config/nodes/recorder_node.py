@@ -119,6 +119,8 @@ class Recorder(Node):
         self.fault: OSError | ValueError | None = None
         self.end_ns = sys.maxsize
         self.last_arrival = time.monotonic()
+        self.taken_ns = 0
+        """Wall time before which every received message is in the queue of `arrivals` [ns]."""
         for name, message_type in {**CONTRACT, **installed_transforms(), **further}.items():
             wanted = LATCHED_EVERYTHING if name in LATCHED_TOPICS else EVERYTHING
             self.subscribe(full(name), message_type, wanted)
@@ -181,10 +183,16 @@ class Recorder(Node):
             taken = take_serialized(self.inputs[topic])
 
     def take_arrived(self) -> None:
-        """Queue all messages that have arrived."""
+        """Queue all messages that have arrived.
+
+        Note:
+            Messages received during this may miss it, while later ones on the next topic do not.
+        """
+        begin_ns = time.time_ns()
         for topic, subscription in list(self.inputs.items()):
             if taken := take_serialized(subscription):
                 self.on_message(topic, *taken)
+        self.taken_ns = begin_ns
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware dropped."""
@@ -206,7 +214,7 @@ class Recorder(Node):
         """
         if topics.TF in self.inputs and has_other_broadcaster(self):
             self.derived.has_transforms = False
-        self.write_all(self.arrivals.take_before(time.time_ns() - int(HOLD * NANOSECONDS)))
+        self.write_all(self.arrivals.take_before(self.taken_ns - int(HOLD * NANOSECONDS)))
         for arrival in self.arrivals.take_undated():
             self.write(arrival, 0)
         self.recording.flush()
