@@ -51,8 +51,9 @@ CALLBACKS = 4
 """Largest number of callbacks (timer, events) that run in a batch."""
 HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
-QUIET = 0.3
-"""Wall time without a message after which no message is in flight [s]."""
+LAST_LOOKS, LAST_PERIOD = 15, 0.02
+"""Looks at the queues in a row that find nothing, after which no message is in flight; and wall time
+between them [s]. A count, because a machine without time for us delivers late, too."""
 DELIVERY = 0.5
 """Longest wall time in which the subscribers confirm the last message [s]."""
 KEEP_ALL: dict[str, Any] = {"depth": 0, "history": HistoryPolicy.KEEP_ALL}
@@ -346,10 +347,13 @@ def record(recorder: Recorder, signals: list[int]) -> None:
             for _ in range(CALLBACKS):
                 recorder.failed.run_next(executor, timeout=0.0)
     recorder.end_ns = time.time_ns()
-    recorder.last_arrival = time.monotonic()
-    while time.monotonic() - recorder.last_arrival < QUIET and not recorder.fault:
+    looks, last = 0, recorder.last_arrival
+    while looks < LAST_LOOKS and not recorder.fault:
+        time.sleep(LAST_PERIOD)
         take_safely(recorder)
-        recorder.failed.run_next(executor, timeout=0.02)
+        recorder.failed.run_next(executor, timeout=0.0)
+        looks = looks + 1 if recorder.last_arrival == last else 0
+        last = recorder.last_arrival
     if recorder.fault:
         raise recorder.fault
     recorder.close()
