@@ -52,8 +52,8 @@ CALLBACKS = 4
 HOLD = 0.2
 """Wall time for which a message waits for others that were published before it [s]."""
 LAST_LOOKS, LAST_PERIOD = 15, 0.02
-"""Looks at the queues in a row that find nothing, after which no message is in flight; and wall time
-between them [s]. A count, because a machine without time for us delivers late, too."""
+"""Looks at the queues in a row that find nothing, after which no message is in flight; and wall
+time between them [s]. A machine without time for us delivers late, and looks late, too."""
 DELIVERY = 0.5
 """Longest wall time in which the subscribers confirm the last message [s]."""
 KEEP_ALL: dict[str, Any] = {"depth": 0, "history": HistoryPolicy.KEEP_ALL}
