@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 if not __package__:  # run as a file
     import run.guard  # noqa: F401 - one line where a package is missing
@@ -26,14 +26,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ampc_msgs_config import __version__
-from launch_scripts.reporting.pages import to_json
-from launch_scripts.reporting.style import save_png, svg
 from launch_scripts.run.machine import cpu_model
-from launch_scripts.study.claims import conclusions
-from launch_scripts.study.drives import STUDY_SWITCHES, WEAK, Switches, contender_labels
-from launch_scripts.study.figures import draw_figures
-from launch_scripts.study.measurements import StudyPlan, count_steps, measure_study, quick_plan
-from launch_scripts.study.page import study_page
+from launch_scripts.study.switches import STUDY_SWITCHES, WEAK, Switches
+
+if TYPE_CHECKING:
+    from launch_scripts.study.measurements import StudyPlan
 
 PICTURES = ("sc2", "sweep", "sphere")
 """Figures of the documentation."""
@@ -69,12 +66,9 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
         if folder is not None and folder.exists() and not folder.is_dir():
             parser.error(f"--{name} {folder} is a file, must be a folder")
     try:
-        switches = read_switches(chosen.reading, chosen.switch)
+        chosen.switches = read_switches(chosen.reading, chosen.switch)
     except ValueError as error:
         parser.error(str(error))
-    chosen.plan = quick_plan(switches) if chosen.quick else StudyPlan(switches)
-    if chosen.sphere_seeds:
-        chosen.plan = chosen.plan._replace(sphere_seeds=chosen.sphere_seeds)
     return chosen
 
 
@@ -97,14 +91,15 @@ def read_switches(reading: str, assignments: Sequence[str]) -> Switches:
     return frozenset(names)
 
 
-def run_description(chosen: argparse.Namespace, words: Sequence[str]) -> dict[str, Any]:
+def run_description(
+    chosen: argparse.Namespace, plan: "StudyPlan", words: Sequence[str]
+) -> dict[str, Any]:
     """Return all that is needed to repeat the run."""
     packages = ("numpy", "numba", "scipy", "matplotlib")
-    plan: StudyPlan = chosen.plan
     return {
         "command": f"python launch_scripts/reproduce.py {shlex.join(words)}".strip(),
         "reading": chosen.reading,
-        "authors_code": sorted(plan.switches - {WEAK}),
+        "authors_code": sorted(chosen.switches - {WEAK}),
         "quick": chosen.quick,
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "seeds": f"gains {plan.tuning_seeds}, swarms 0 to {plan.sphere_seeds - 1}",
@@ -118,12 +113,22 @@ def run_description(chosen: argparse.Namespace, words: Sequence[str]) -> dict[st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, check the claims, draw and write."""
     chosen, console, begin = parse_arguments(arguments), Console(highlight=False), time.monotonic()
+    # These modules load compiled code and matplotlib.
+    from launch_scripts.reporting.pages import to_json
+    from launch_scripts.reporting.style import save_png, svg
+    from launch_scripts.study.claims import conclusions
+    from launch_scripts.study.drives import contender_labels
+    from launch_scripts.study.figures import draw_figures
+    from launch_scripts.study.measurements import count_steps, measure_study, study_plan
+    from launch_scripts.study.page import study_page
+
+    plan = study_plan(chosen.switches, chosen.quick, chosen.sphere_seeds)
     with Progress(console=console) as progress:
-        task = progress.add_task("reproducing", total=count_steps(chosen.plan))
-        results, driven = measure_study(chosen.plan, lambda: progress.advance(task))
+        task = progress.add_task("reproducing", total=count_steps(plan))
+        results, driven = measure_study(plan, lambda: progress.advance(task))
     words = sys.argv[1:] if arguments is None else arguments
-    results |= {"meta": run_description(chosen, words), **conclusions(results)}
-    figures = draw_figures(results, driven, contender_labels(chosen.plan.switches))
+    results |= {"meta": run_description(chosen, plan, words), **conclusions(results)}
+    figures = draw_figures(results, driven, contender_labels(chosen.switches))
     results["duration_s"] = round(time.monotonic() - begin, 1)
     # page, pictures of the documentation, results
     chosen.output.mkdir(parents=True, exist_ok=True)

@@ -5,12 +5,10 @@ written; 2: wrong option, file or cluster; 130: interrupted, continue with `--re
 """
 
 import argparse
-import json
 import os
 import shlex
 import sys
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 if not __package__:  # run as a file
@@ -19,37 +17,15 @@ if not __package__:  # run as a file
 from rich.console import Console
 from rich.text import Text
 
-from ampc_msgs_config.config import schema_line, shipped, shipped_schema
-from ampc_ros.certificate import certify_command
-from ampc_ros.configuration import Choices
-from launch_scripts.run.options import print_vehicle_warnings
-from launch_scripts.run.progress import Advance, show_progress
-from launch_scripts.tuning.fitness import FITNESS, SETTINGS
-from launch_scripts.tuning.learning import (
-    KINDS,
-    check_learnable,
-    learn,
-    schedule_searches,
-    schedule_yaml,
-)
-from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
-from launch_scripts.tuning.report import (
-    TuningReport,
-    polish_searches,
-    prove,
-    provenance,
-    table_yaml,
-)
-from launch_scripts.tuning.search import Checkpoints, run_searches, write_atomically
-from launch_scripts.tuning.task import (
-    PRESETS,
+from ampc_msgs_config.config import shipped
+from launch_scripts.tuning.choices import (
+    FITNESS,
+    FORMULATIONS,
+    METHOD_NAMES,
+    SCHEDULES,
+    SETTINGS,
     SYMBOLS,
-    TABLE_SEARCH,
-    Search,
-    TuningTask,
-    read_task,
 )
-from launch_scripts.tuning.workers import Workers, open_workers
 
 WRONG, INTERRUPTED = 2, 130
 """Exit codes."""
@@ -62,12 +38,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
     add("--vehicle", default="paper", help=f"YAML file, or {', '.join(shipped('vehicles'))}")
-    add("--formulation", default="preview", choices=PRESETS, help="formulation of the controller")
+    add(
+        "--formulation",
+        default="preview",
+        choices=FORMULATIONS,
+        help="of the controller",
+    )
     add("--settings", default=SETTINGS, help=f"controller: {', '.join(shipped('controllers'))}")
     add(
         "--method",
         default="pso",
-        choices=SEARCH_METHODS,
+        choices=METHOD_NAMES,
         help="search method; paper: Eqs. (31)-(34)",
     )
     add("--fitness", choices=FITNESS, help="default: that of the formulation")
@@ -80,7 +61,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--particles", type=int, help="of --method paper; default: 20")
     add("--generations", type=int, help="of --method paper; default: 15")
     add("--seeds", nargs="+", type=int, default=[1, 2], help="the best seed counts")
-    add("--schedule", choices=KINDS, help="learn a schedule by speed, curvature and latency")
+    add("--schedule", choices=SCHEDULES, help="learn a schedule by speed, curvature and latency")
     add("--output", type=Path, help="file; default: runs/tune/<vehicle>_<...>.yaml")
     add("--resume", action="store_true", help="continue an interrupted tuning")
     add("--workers", type=int, default=os.cpu_count() or 1, help="number of threads")
@@ -103,105 +84,14 @@ def command_of(chosen: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def counting(advance: Advance) -> Callable[[Search, SearchRecord], None]:
-    """Return a function that counts new evaluations of searches, in any thread."""
-    shown: dict[str, int] = {}
-    lock = threading.Lock()
-
-    def show(search: Search, record: SearchRecord) -> None:
-        with lock:
-            new = len(record.fitness) - shown.get(search.name, 0)
-            shown[search.name] = len(record.fitness)
-            stage = f"{search.name}, best fitness {record.fitness.min():.3g}"
-            advance(new * len(search.nodes), stage)
-
-    return show
-
-
-def search_and_prove(
-    task: TuningTask, workers: Workers, checkpoints: Checkpoints, console: Console
-) -> TuningReport:
-    """Run all searches, show their progress, and compare their results."""
-    searches = task.searches()
-    total = sum(search.drives for search in searches)
-    if task.is_smooth:
-        total += sum(task.evaluations * len(task.speeds) for _ in task.seeds) - sum(
-            search.drives for search in searches if search.purpose == TABLE_SEARCH
-        )
-    with show_progress(console, "tuning", total) as advance:
-        show = counting(advance)
-        results = run_searches(searches, workers, checkpoints, show)
-        if polishes := polish_searches(task, results):
-            results |= run_searches(polishes, workers, checkpoints, show)
-        advance(0.0, "proof")
-        return prove(task, results, workers)
-
-
-def train_schedule(
-    task: TuningTask,
-    chosen: argparse.Namespace,
-    output: Path,
-    workers: Workers,
-    checkpoints: Checkpoints,
-    console: Console,
-) -> None:
-    """Learn a schedule of pole and increment weight, and write its gain file."""
-    check_learnable(task)
-    checkpoints.begin({**task.describe(), "schedule": chosen.schedule}, chosen.resume)
-    total = sum(search.drives for search in schedule_searches(task))
-    with show_progress(console, "training", total) as advance:
-        learned = learn(task, chosen.schedule, workers, checkpoints, counting(advance))
-    write_atomically(output, schedule_yaml(task, learned, command_of(chosen), output))
-    checkpoints.clear()
-    console.print(f"written: {output}, {len(learned.targets)} targets", markup=False)
-
-
-def run_tuning(chosen: argparse.Namespace, console: Console) -> None:
-    """Tune, show the proof, and write the files.
-
-    Raises:
-        ValueError: Names option or file, key, value and bound.
-    """
-    if chosen.workers < 1:
-        raise ValueError(f"--workers {chosen.workers}: must be at least 1")
-    task = read_task(chosen)
-    print_vehicle_warnings(task.vehicle, console)
-    words = [Path(task.vehicle).stem, task.formulation, task.kind]
-    words += [Path(task.settings).stem] * (task.settings != SETTINGS)
-    words += [chosen.schedule] * bool(chosen.schedule)
-    name = f"{'_'.join(words)}.yaml"
-    output = chosen.output or Path("runs/tune") / name
-    if output.suffix not in (".yaml", ".yml") or output.is_dir():
-        raise ValueError(f"--output {output}: must be a file that ends with .yaml")
-    checkpoints = Checkpoints(output.with_suffix(".checkpoint"))
-    options = chosen.workers, chosen.processes, chosen.scheduler, chosen.trust_scheduler
-    with open_workers(*options) as workers:
-        if chosen.schedule:
-            train_schedule(task, chosen, output, workers, checkpoints, console)
-            return
-        checkpoints.begin(task.describe(), chosen.resume)
-        report = search_and_prove(task, workers, checkpoints, console)
-    console.print(report.screen_table())
-    console.print(report.verdict)
-    if report.warning:
-        console.print(f"note: {report.warning}", markup=False)
-    origin = provenance(task, report, command_of(chosen))
-    proof = json.dumps(report.to_json() | {"task": origin}, indent=1, allow_nan=False)
-    first = schema_line(shipped_schema("gains"), output)
-    write_atomically(output, f"{first}\n{table_yaml(task, report, origin)}")
-    write_atomically(output.with_suffix(".json"), f"{proof}\n")
-    checkpoints.clear()
-    console.print(f"written: {output} and the proof {output.stem}.json", markup=False)
-    tuned = Choices(controller=task.formulation, vehicle=task.vehicle, settings=task.settings)
-    console.print(f"certify it: {certify_command(tuned, output)}", markup=False)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     chosen = build_parser().parse_args(arguments)
     console = Console(highlight=False, soft_wrap=True)
+    from launch_scripts.tuning.run_tuning import run_tuning  # loads compiled code
+
     try:
-        run_tuning(chosen, console)
+        run_tuning(chosen, command_of(chosen), console)
     except ValueError as error:
         console.print(Text.assemble(("error:", "red"), f" {error}"))
         return WRONG

@@ -20,13 +20,11 @@ import msgspec
 from ampc_msgs_config.config import build, find, read_text, shipped
 from ampc_msgs_config.validation import Checked, described, number
 from ampc_msgs_config.vehicle_file import VehicleContent, read_vehicle
-from ampc_ros.configuration import Choices, Configuration, gain_file
+from ampc_ros.configuration import CERTIFIED_CONTROLLERS, Choices, Configuration, gain_file
 from ampc_ros.mpc.gain_table import gain_table
 
 CERTIFICATE_VERSION = 2
 """Version of the checks and of the control law. Incremented when either changes the results."""
-CERTIFIED_CONTROLLERS = ("preview", "paper")
-"""Controllers whose gain tables are certified."""
 SUFFIX = ".certificate.json"
 FAILS = " fails: "
 """In the reason of a certificate of the right identity that is not certified."""

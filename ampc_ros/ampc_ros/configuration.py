@@ -25,6 +25,8 @@ CONTROLLERS = {
     "classic": "the same MPC with its model fixed at a nominal speed",
     "pure_pursuit": "geometric baseline on the rear axle",
 }
+CERTIFIED_CONTROLLERS = ("preview", "paper")
+"""Controllers whose gain tables are certified."""
 DEFAULT_TABLES = {"preview": "preview", "paper": "table3", "classic": "table3"}
 """Gains for any car; `default_table` selects gains tuned for one car."""
 CLASSIC_SPEED = 9.0

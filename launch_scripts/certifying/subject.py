@@ -14,8 +14,13 @@ from ampc_msgs_config.parameters import GRAVITY
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.validation import hints, number_bounds, unwrap
 from ampc_msgs_config.vehicle_file import ABSOLUTE_SPREADS, VehicleContent, read_vehicle
-from ampc_ros.certificate import CERTIFIED_CONTROLLERS
-from ampc_ros.configuration import Choices, Configuration, configuration, gain_file
+from ampc_ros.configuration import (
+    CERTIFIED_CONTROLLERS,
+    Choices,
+    Configuration,
+    configuration,
+    gain_file,
+)
 from ampc_ros.controller import build_controller
 from launch_scripts.certifying.linear_loop import CertifiedController
 from sim_vehicle.parameters import Vehicle, load_vehicle_file

@@ -15,6 +15,7 @@ from ampc_msgs_config.types import NANOSECONDS, Plan, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
 from ampc_ros.controller_interface import Controller
+from launch_scripts.comparing.conditions import COMPARED_METRICS, Conditions
 from launch_scripts.run.simulated import SimulatedDrive
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.measurement import measured
@@ -22,16 +23,6 @@ from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file
 
 TIE = 0.005
 """Relative difference below which two numbers count as equal; three digits are displayed."""
-COMPARED_METRICS = {
-    "rms": "rms_error_m",
-    "p95": "p95_error_m",
-    "max": "max_error_m",
-    "mse": "mse_m2",
-    "effort": "steering_rms_increment_deg",
-    "acceleration": "max_lateral_acceleration",
-    "solve_time": "solve_time_p50_us",
-}
-"""Keys of the compared metrics by command-line name; small values are better for all of them."""
 
 
 class Contender(NamedTuple):
@@ -42,19 +33,6 @@ class Contender(NamedTuple):
     """Shipped name, or `file.py:Class`."""
     gain_table: str
     """Shipped name or file; empty for a controller without gains."""
-
-
-class Conditions(NamedTuple):
-    """Common conditions of all cells; the controllers do not know friction, delay and noise."""
-
-    vehicle: str = "paper"
-    settings: str = "table3"
-    friction: float | None = None
-    """Friction of the road; None: that of the tyres."""
-    delay: float = 0.0
-    """Additional delay of the real steering [s]."""
-    noise: str = ""
-    seed: int = 0
 
 
 class Cell(NamedTuple):

@@ -16,7 +16,8 @@ from ampc_msgs_config import __version__
 from ampc_msgs_config.config import find
 from ampc_msgs_config.metrics import LOST, METRICS
 from ampc_msgs_config.scenarios.scenario import Scenario
-from launch_scripts.comparing.cells import COMPARED_METRICS, Cell, Conditions, Contender, best_of
+from launch_scripts.comparing.cells import Cell, Contender, best_of
+from launch_scripts.comparing.conditions import COMPARED_METRICS, Conditions
 from launch_scripts.comparing.figures import colors_of, draw_compared_road
 from launch_scripts.reporting.heat_map import HeatCell, draw_heat_map
 from launch_scripts.reporting.pages import data, markdown_table, render, terminal_table, to_json

@@ -9,13 +9,13 @@ from ampc_msgs_config.paths.curves import q
 from ampc_msgs_config.scenarios.scenario import Scenario
 from ampc_msgs_config.types import Array
 from launch_scripts.study.drives import (
-    Switches,
     TunedGains,
     drive_contender,
     largest_error,
     metrics_of,
     study_scenario,
 )
+from launch_scripts.study.switches import Switches
 
 MOVE_LENGTHS = (15.0, 20.0, 30.0, 45.0, 60.0)
 """Lengths of each half of the double lane change in the geometry sweep [m]."""

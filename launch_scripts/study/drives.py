@@ -20,6 +20,7 @@ from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.preview.controller import PreviewMpc
 from ampc_ros.pure_pursuit import PurePursuit
 from launch_scripts.run.simulated import SimulatedDrive
+from launch_scripts.study.switches import WEAK, Switches
 from sim_vehicle.closed_loop import Simulation, Steering, drive
 from sim_vehicle.parameters import Vehicle, load_vehicle_file
 
@@ -45,13 +46,6 @@ CONTENDERS = {
 }
 FIXED_CONTENDERS = ("classic", "classic_pso")
 """Contenders whose model does not follow the speed."""
-DRIVE_SWITCHES = ("tyre", "plant", "speed", "horizon", "solver")
-"""Differences between paper and authors' code that change a drive; the page explains each."""
-SEARCH_SWITCHES = ("schedule", "sizes", "bounds", "fitness")
-"""Differences between paper and authors' code that change a search."""
-STUDY_SWITCHES = (*DRIVE_SWITCHES, *SEARCH_SWITCHES)
-WEAK = "weak_baselines"
-"""Reading of the hand-set gains that results in the order and the ratios of the paper."""
 WEAK_WEIGHTS = {"paper": 10.0, "classic": 1000.0}
 """R of AMPC and classic MPC in this reading; their other gains are those of Table 3."""
 WEAK_LOOK_AHEAD = (3.0, 2.0)
@@ -61,8 +55,6 @@ WEAK_LABELS = {
     "classic": "classic MPC, R = 1000",
     "pure_pursuit": "pure pursuit, 3.0 s",
 }
-Switches = frozenset[str]
-"""Names of the switches that are set to the authors' code, and WEAK in that reading."""
 
 
 class TunedGains(NamedTuple):

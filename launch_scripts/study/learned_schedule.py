@@ -23,10 +23,11 @@ from launch_scripts.certifying.measurements import GainStepMeter
 from launch_scripts.reporting.pages import markdown_table
 from launch_scripts.study.shipped_tables import proof_file
 from launch_scripts.tune import build_parser
+from launch_scripts.tuning.choices import SCHEDULES
 from launch_scripts.tuning.drives import ROADS, Plant, nominal_vehicle, simulated_car
 from launch_scripts.tuning.fitness import JUDGED, LOST_ERROR, Node, fitness_of_log, gains_of_row
 from launch_scripts.tuning.fleet import CONVERGED, CROSS_TRACK_ERROR, LOG_STEERING, LOGGED
-from launch_scripts.tuning.learning import KINDS, Learned, fit_results, schedule_searches
+from launch_scripts.tuning.learning import Learned, fit_results, schedule_searches
 from launch_scripts.tuning.methods import SearchRecord
 from launch_scripts.tuning.search import Checkpoints, run_searches
 from launch_scripts.tuning.task import Search, TuningTask, geometric_mean, read_task
@@ -194,7 +195,7 @@ def learn_both(task: TuningTask, folder: Path, console: Console) -> dict[str, Le
 
     with open_workers(1) as workers:
         results = run_searches(schedule_searches(task), workers, checkpoints, show)
-    return {kind: fit_results(task, kind, results) for kind in KINDS}
+    return {kind: fit_results(task, kind, results) for kind in SCHEDULES}
 
 
 def table_rows(vehicle: str, candidates: Sequence[DrivenGains]) -> list[list[str]]:
@@ -216,7 +217,7 @@ def table_rows(vehicle: str, candidates: Sequence[DrivenGains]) -> list[list[str
 def verdict(vehicle: str, candidates: Sequence[DrivenGains]) -> str:
     """Return the decision for one car in one line."""
     mean = {each.name: each.mean for each in candidates}
-    best = min(KINDS, key=lambda kind: mean[kind])
+    best = min(SCHEDULES, key=lambda kind: mean[kind])
     saved = 1.0 - mean[best] / mean["table"]
     reaches = "reaches" if saved >= DEFAULT_SAVING else "does not reach"
     condition = f"{reaches} the {DEFAULT_SAVING:.0%} without which it cannot become the default"

@@ -19,12 +19,8 @@ from launch_scripts.run.simulated import SimulatedDrive
 from launch_scripts.study.attempts import measure_attempts
 from launch_scripts.study.drives import (
     CONTENDERS,
-    DRIVE_SWITCHES,
     FIXED_SPEED,
-    SEARCH_SWITCHES,
     STUDY_ROADS,
-    WEAK,
-    Switches,
     TunedGains,
     constant_table,
     controller_settings,
@@ -49,6 +45,7 @@ from launch_scripts.study.pso_methods import (
 )
 from launch_scripts.study.pso_variants import VariantSettings
 from launch_scripts.study.speed_sweep import ClaimPlan, measure_claim
+from launch_scripts.study.switches import DRIVE_SWITCHES, SEARCH_SWITCHES, WEAK, Switches
 from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from launch_scripts.tuning.task import geometric_mean
@@ -91,6 +88,14 @@ class StudyPlan(NamedTuple):
     """Switches whose effect is measured one at a time."""
     claim: ClaimPlan = ClaimPlan()
     """Speeds and searches of the claim over speed, always in the paper's reading."""
+
+
+def study_plan(
+    switches: Switches, quick: bool = False, sphere_seeds: int | None = None
+) -> StudyPlan:
+    """Return the plan of a complete or quick run, with the default number of swarms or another."""
+    plan = quick_plan(switches) if quick else StudyPlan(switches)
+    return plan._replace(sphere_seeds=sphere_seeds) if sphere_seeds else plan
 
 
 def quick_plan(switches: Switches) -> StudyPlan:

@@ -6,7 +6,8 @@ from typing import Any
 
 from launch_scripts.reporting.pages import render
 from launch_scripts.study.claims import PAPER_MSE
-from launch_scripts.study.drives import STUDY_ROADS, WEAK, contender_labels
+from launch_scripts.study.drives import STUDY_ROADS, contender_labels
+from launch_scripts.study.switches import WEAK
 
 
 def study_page(results: Mapping[str, Any], figures: Mapping[str, str]) -> str:

@@ -14,13 +14,13 @@ from ampc_ros.mpc.gain_table import Gains, GainTable
 from ampc_ros.paper.controller import LateralMpc
 from launch_scripts.study.drives import (
     STUDY_ROADS,
-    Switches,
     controller_settings,
     paper_car,
     plant_vehicle,
     study_scenario,
     table3_gains,
 )
+from launch_scripts.study.switches import Switches
 from launch_scripts.tuning.drives import Plant, lane_change, simulated_car
 from launch_scripts.tuning.fitness import gains_of_row, repeat_for_gain_sets
 from launch_scripts.tuning.fleet import CROSS_TRACK_ERROR, Integers

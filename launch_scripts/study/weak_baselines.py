@@ -8,17 +8,16 @@ from typing import Any
 
 from launch_scripts.study.claims import PAPER_MSE
 from launch_scripts.study.drives import (
-    WEAK,
     WEAK_LABELS,
     WEAK_LOOK_AHEAD,
     WEAK_WEIGHTS,
-    Switches,
     TunedGains,
     drive_contender,
     drive_metrics,
     study_scenario,
     table3_gains,
 )
+from launch_scripts.study.switches import WEAK, Switches
 
 
 def measure_weak_baselines(roads: Sequence[str], switches: Switches) -> dict[str, Any]:

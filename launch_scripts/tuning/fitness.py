@@ -19,6 +19,7 @@ from ampc_ros.mpc.qp_solver import scratch_numbers
 from ampc_ros.paper.controller import LateralMpc
 from ampc_ros.paper.qp_assembly import check_conditioning
 from ampc_ros.preview.controller import PreviewMpc
+from launch_scripts.tuning.choices import SETTINGS
 from launch_scripts.tuning.drives import (
     CURVATURE,
     HELD_OUT,
@@ -42,8 +43,6 @@ from launch_scripts.tuning.fleet_rows import (
 )
 from sim_vehicle.parameters import Vehicle
 
-SETTINGS = "table3"
-"""Shipped controller settings with which gains are tuned by default."""
 REFERENCE_PERIOD = 0.1
 """Time over which an increment is measured, so that the fitness does not depend on the rate [s]."""
 JUDGED = "held-out"
@@ -61,12 +60,6 @@ NEGLIGIBLE = 0.005
 """Error below which a further reduction hardly improves the fitness [m]."""
 GENTLE = Gains(25, 20, 6, 0.3, 10.0, 100.0)
 """Placeholder gains of a controller before it receives those of a particle."""
-FITNESS = {
-    "paper": "mean squared error [m^2] of a step to the node's lateral reference, 10 s",
-    "robust": "geometric mean of average and worst, over drives on a lane change and of joining a "
-    "road by cars that differ from the model, of the mean squared error + mean (v T Delta u)^2 "
-    "+ (5 mm)^2 [m^2]",
-}
 
 
 class Node(NamedTuple):

@@ -38,8 +38,6 @@ from launch_scripts.tuning.smoothness import smoothest
 from launch_scripts.tuning.task import SINGLE, Search, TuningTask
 from launch_scripts.tuning.workers import Workers
 
-KINDS = ("network", "anfis")
-"""Kinds of schedules."""
 ADDED_LATENCIES = (0.0, 0.1, 0.2)
 """Delays of the situations in addition to the latency of the vehicle [s]."""
 SHARES = (0.0, 1.0 / 3.0, 1.0)
@@ -74,7 +72,7 @@ class Learned(NamedTuple):
     """Result of a training."""
 
     kind: str
-    """One of KINDS."""
+    """One of SCHEDULES."""
     schedule: GainSchedule
     single: Gains
     """The best single gain set of the same task: horizons, terms, Q, and the fallback."""
@@ -169,7 +167,7 @@ def fit_schedule(kind: str, targets: Sequence[Target], seed: int) -> tuple[GainS
     """Fit a schedule to targets.
 
     Args:
-        kind: One of KINDS.
+        kind: One of SCHEDULES.
         targets: Situations and gains.
         seed: Of the random starts.
 

@@ -17,7 +17,8 @@ from rich.table import Table
 from ampc_msgs_config.config import shipped
 from ampc_ros.configuration import DEFAULT_TABLES
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
-from launch_scripts.tuning.fitness import FITNESS, JUDGED, SETTINGS, Node, fitness
+from launch_scripts.tuning.choices import FITNESS, SETTINGS
+from launch_scripts.tuning.fitness import JUDGED, Node, fitness
 from launch_scripts.tuning.search import SearchResult
 from launch_scripts.tuning.smoothness import smoothest
 from launch_scripts.tuning.table_rule import MAX_LOSS, MIN_SAVING, saving, worst_ratio

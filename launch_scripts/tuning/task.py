@@ -22,13 +22,12 @@ from ampc_msgs_config.validation import check_range, number
 from ampc_msgs_config.vehicle_file import read_vehicle
 from ampc_ros.mpc.gain_table import BOUNDS, INTEGERS, Gains, GainTable
 from ampc_ros.pso.swarm import Dimension, swarm_space
+from launch_scripts.tuning.choices import SETTINGS, SYMBOLS
 from launch_scripts.tuning.drives import DEFINITION
-from launch_scripts.tuning.fitness import REFERENCE_PERIOD, SETTINGS, Node, fitness
+from launch_scripts.tuning.fitness import REFERENCE_PERIOD, Node, fitness
 from launch_scripts.tuning.methods import NO_CMA, has_cma
 from sim_vehicle.parameters import load_vehicle_file
 
-SYMBOLS = ("N_p", "N_c", "N", "alpha", "Q", "R")
-"""Symbols of the paper, in the order of the fields of `Gains`."""
 FIELDS = dict(zip(SYMBOLS, Gains._fields, strict=True))
 SYMBOL_OF = {field: symbol for symbol, field in FIELDS.items()}
 LOGARITHMIC = ("Q", "R")

@@ -24,7 +24,7 @@ from ampc_ros.certificate import certificate_problem, identity_of, read_certific
 from ampc_ros.configuration import Choices, configuration
 from ampc_ros.mpc.gain_table import Gains, GainTable, load_gain_table
 from ampc_ros.preview.tick import DISTURBANCE, EXPECTED
-from launch_scripts.certify import SHIPPED, main
+from launch_scripts.certify import main
 from launch_scripts.certifying import measurements
 from launch_scripts.certifying.bounds import ACCEPTANCE_BOUNDS
 from launch_scripts.certifying.certificate import (
@@ -47,6 +47,7 @@ from launch_scripts.certifying.measurements import (
     time_constants,
 )
 from launch_scripts.certifying.page import bounds_table, results_table
+from launch_scripts.certifying.run_certify import SHIPPED
 from launch_scripts.certifying.subject import (
     Subject,
     Variation,

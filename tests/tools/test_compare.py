@@ -17,14 +17,8 @@ from ampc_msgs_config.scenarios.scenario import Scenario, load_scenario
 from ampc_ros.configuration import CONTROLLERS, Choices
 from ampc_ros.controller import make_controller
 from launch_scripts.compare import main
-from launch_scripts.comparing.cells import (
-    COMPARED_METRICS,
-    Cell,
-    Conditions,
-    Contender,
-    best_of,
-    drive_cell,
-)
+from launch_scripts.comparing.cells import Cell, Contender, best_of, drive_cell
+from launch_scripts.comparing.conditions import COMPARED_METRICS, Conditions
 from launch_scripts.comparing.results import three_digits
 from sim_vehicle.closed_loop import Simulation, drive
 from sim_vehicle.parameters import MeasurementNoise, load_vehicle_file

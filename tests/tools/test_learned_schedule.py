@@ -13,9 +13,10 @@ from launch_scripts import tune
 from launch_scripts.study import learned_schedule
 from launch_scripts.study.learned_schedule import DrivenGains, judge_at, main, verdict
 from launch_scripts.tuning import learning
+from launch_scripts.tuning.choices import SCHEDULES
 from launch_scripts.tuning.drives import STRAIGHT_CURVATURE
 from launch_scripts.tuning.fitness import JUDGED, fitness
-from launch_scripts.tuning.learning import KINDS, Learned, Target, fit_schedule, situations
+from launch_scripts.tuning.learning import Learned, Target, fit_schedule, situations
 from launch_scripts.tuning.task import read_task
 
 TASK = read_task(tune.build_parser().parse_args(["--vehicle", "ordinary"]))
@@ -37,7 +38,7 @@ def gains_at(v: float, curvature: float, latency: float) -> Gains:
     return Gains(25, 20, 3, pole, 10.0, 0.5 * v**2 * (1.0 + latency))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCHEDULES)
 def test_a_fit_meets_smooth_targets_and_repeats_bit_for_bit(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,7 +128,7 @@ def test_the_page_has_a_row_for_each_candidate(
 ) -> None:
     monkeypatch.setattr(learning, "FIT_STARTS", 1)
     monkeypatch.setattr(learning, "MOST_FIT_STEPS", 1)
-    fitted = {kind: fit_schedule(kind, targets(), 1) for kind in KINDS}
+    fitted = {kind: fit_schedule(kind, targets(), 1) for kind in SCHEDULES}
     single = gains_at(9.0, 0.01, 0.0)
     learned = {
         kind: Learned(kind, item, single, targets(), 0.5) for kind, (item, _) in fitted.items()

@@ -27,12 +27,8 @@ from launch_scripts.study.claims import (
 )
 from launch_scripts.study.drives import (
     CONTENDERS,
-    DRIVE_SWITCHES,
     FIXED_SPEED,
-    SEARCH_SWITCHES,
     STUDY_ROADS,
-    STUDY_SWITCHES,
-    WEAK,
     TunedGains,
     build_contender,
     drive_contender,
@@ -50,6 +46,7 @@ from launch_scripts.study.measurements import (
     swarm_settings,
 )
 from launch_scripts.study.page import study_page
+from launch_scripts.study.switches import DRIVE_SWITCHES, SEARCH_SWITCHES, STUDY_SWITCHES, WEAK
 from launch_scripts.study.weak_baselines import measure_weak_baselines
 from launch_scripts.tuning.fleet_rows import Entry, drive_fleet
 from sim_vehicle.closed_loop import Simulation

@@ -33,7 +33,7 @@ COMMANDS = sorted(
 )
 
 
-ARGUMENTS = {"recover": "bag", "report": "bag"}
+ARGUMENTS = {"recover": "bag", "replay": "bag", "report": "bag"}
 """Arguments without which a command ends before it imports anything."""
 SOME_EXECUTABLES = ["launch_scripts/compare", "launch_scripts/start"]
 
@@ -54,11 +54,9 @@ def run_without(
 
 
 HEAVY = {"numba", "llvmlite", "scipy", "matplotlib", "plotly", "rclpy", "numpy", "rosbags", "mcap"}
-LATER = {"certify", "compare", "replay", "reproduce", "tune"}
-"""Commands that still load compiled code before they read their options."""
 
 
-@pytest.mark.parametrize("name", sorted({*COMMANDS, "bootstrap"} - LATER))
+@pytest.mark.parametrize("name", [*COMMANDS, "bootstrap"])
 @pytest.mark.parametrize(("option", "code"), [("--help", 0), ("--no-such-option", 2)])
 def test_help_and_wrong_options_are_answered_without_large_packages(
     name: str, option: str, code: int, tmp_path: Path

@@ -11,14 +11,14 @@ import pytest
 from ampc_msgs_config.config import find
 from ampc_msgs_config.types import Array
 from launch_scripts.tune import build_parser, command_of, main
-from launch_scripts.tuning.methods import SearchRecord
+from launch_scripts.tuning.choices import FORMULATIONS, METHOD_NAMES, SYMBOLS
+from launch_scripts.tuning.methods import SEARCH_METHODS, SearchRecord
 from launch_scripts.tuning.report import hand_set_table
 from launch_scripts.tuning.search import Checkpoints, write_atomically
 from launch_scripts.tuning.task import (
     DEFAULT_BOUNDS,
     DEFAULT_TUNED,
     PRESETS,
-    SYMBOLS,
     Search,
     read_task,
     search_space,
@@ -276,6 +276,8 @@ def test_a_full_disk_keeps_the_previous_content(
 
 
 def test_presets_are_valid_tasks() -> None:
+    assert PRESETS.keys() == {*FORMULATIONS}
+    assert SEARCH_METHODS.keys() == {*METHOD_NAMES}
     for name in PRESETS:
         chosen = task("--formulation", name)
         tuned = {symbol.removesuffix("/v^2") for symbol, _, _ in chosen.space.bounds}

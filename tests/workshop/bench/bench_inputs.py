@@ -26,7 +26,11 @@ from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.nodes.received_path import PathRequest, Shift, build_path, prepare
 
 ROOT = Path(__file__).resolve().parents[3]
-COMMANDS = ("start", "report", "recover", "watch", "connect", "new_car", "identify", "tune")
+COMMANDS = sorted(
+    file.stem
+    for file in (ROOT / "launch_scripts").glob("*.py")
+    if file.stem not in ("__init__", "setup")
+)
 YAML_SIZE = 4_900_000
 """Size of the YAML texts [characters]."""
 PURE_SHARE = 50
