@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from scipy.ndimage import maximum_filter1d
 
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.paths.path_frame import along_chord, path_frame
 from launch_scripts.comparing.cells import Cell
-from launch_scripts.reporting.style import CONTROLLER_STYLES, REFERENCE_STYLE, label_ends, stack
+from launch_scripts.reporting.style import CONTROLLER_STYLES, REFERENCE_STYLE, label_ends, lay_out, stack
 from launch_scripts.run.simulated import centre_of_gravity, ticks_until_lost
 
 FINEST = 1.0e-4
@@ -73,7 +73,7 @@ def draw_compared_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, An
     values = np.concatenate([lines[2][1] for lines in curves.values()])
     axes[2].set_yscale("log")
     axes[2].set_ylim(0.8 * values.min(), 1.5 * values.max())
-    axes[2].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes[2].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes[2].yaxis.set_minor_formatter(NullFormatter())
     axes[1].set_ylabel("cross-track\nerror [m]")
     axes[2].set_ylabel(f"largest error\nwithin {WINDOW:g} s [m]")
@@ -86,7 +86,7 @@ def draw_compared_road(cells: Sequence[Cell], colors: Mapping[str, tuple[str, An
             if len(a) < len(shown[name].error):
                 height = np.clip(b[-1], *ax.get_ylim())
                 ax.plot(a[-1], height, "x", color=color, ms=8, mew=2, clip_on=False, zorder=5)
-    figure.draw_without_rendering()
+    lay_out(figure)
     for panel in range(1, len(axes)):
         ends = {name: float(lines[panel][1][-1]) for name, lines in curves.items()}
         label_ends(axes[panel], ends, {name: color for name, (color, _) in colors.items()})

@@ -42,10 +42,18 @@ SVG_CLIPS = re.compile(r"\bp[0-9a-f]{10}\b")
 """Names of clip paths; on logarithmic axes they contain addresses of memory."""
 
 
+def lay_out(figure: Figure) -> None:
+    """Give the panels of a figure their places, without drawing it."""
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+
+
 def svg(figure: Figure) -> str:
     """Return a figure as SVG text; equal figures have equal bytes."""
     file = io.StringIO()
     with mpl.rc_context(FONT):
+        lay_out(figure)
+        figure.set_layout_engine("none")  # else, savefig would draw the figure twice
         figure.savefig(file, format="svg", metadata={"Date": None})
     names: dict[str, str] = {}
     text = SVG_CLIPS.sub(
