@@ -2,16 +2,21 @@
 
 import heapq
 import re
+import struct
 import tempfile
 import zlib
-from collections.abc import Collection, Iterator
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 
 from ampc_msgs_config import ros
@@ -30,6 +35,8 @@ from launch_scripts.bags.salvage import (
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE_ENDING = ".db3"
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Start of a message: channel, number, log time and time of publishing [ns]."""
 ENDINGS = (".mcap", SQLITE_ENDING)
 """Endings of the files of a bag, of which one that is compressed has a further one."""
 
@@ -61,13 +68,54 @@ class BagFile(NamedTuple):
     """What is damaged or doubtful, one line each."""
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """Return the messages of the given topics in the order of their log times."""
-        self.stream.seek(0)
-        with damage_in_one_line(self.path):
-            reader = SeekingReader(self.stream, validate_crcs=True)
-            for _, channel, message in reader.iter_messages(topics):
-                times = message.log_time, message.publish_time
-                yield BagMessage(channel.topic, *times, message.data)
+        """Return the messages of the given topics in the order of their log times.
+
+        Note:
+            The reader of `mcap` takes 8 times as long, for its heap and its objects.
+        """
+        names = {
+            number: channel.topic
+            for number, channel in self.summary.channels.items()
+            if channel.topic in topics
+        }
+        chunks = sorted(
+            (each.message_start_time, each.chunk_start_offset)
+            for each in self.summary.chunk_indexes
+            if not each.message_index_offsets or names.keys() & each.message_index_offsets
+        )
+        waiting: list[tuple[int, int, int, BagMessage]] = []
+        for k, (_, offset) in enumerate(chunks):
+            with damage_in_one_line(self.path):
+                waiting += self.chunk_messages(offset, names)
+            waiting.sort()
+            following = chunks[k + 1 : k + 2]
+            end = bisect_left(waiting, following[0][:1]) if following else len(waiting)
+            yield from (message for _, _, _, message in waiting[:end])
+            del waiting[:end]
+
+    def chunk_messages(
+        self, offset: int, names: Mapping[int, str]
+    ) -> Iterator[tuple[int, int, int, BagMessage]]:
+        """Return log time, place and message of the messages of a chunk.
+
+        Args:
+            offset: Of the chunk in the file.
+            names: Wanted topics by their numbers.
+        """
+        self.stream.seek(offset + HEAD.size)
+        chunk = Chunk.read(ReadDataStream(self.stream))
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        content, at = stream.read(size), 0
+        while at < size:
+            opcode, length = HEAD.unpack_from(content, at)
+            begin, at = at + HEAD.size, at + HEAD.size + length
+            if at > size:
+                raise EndOfFile
+            if opcode == Opcode.MESSAGE:
+                number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, begin)
+                if number in names:
+                    data = content[begin + MESSAGE_HEAD.size : at]
+                    yield log_ns, offset, begin, BagMessage(names[number], log_ns, publish_ns, data)
 
 
 class Bag(NamedTuple):

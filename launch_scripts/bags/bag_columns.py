@@ -3,20 +3,19 @@
 No message is kept, because a bag of an hour has a million. Only `odom` is required.
 """
 
-from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.config import build, parse
 from ampc_msgs_config.parameters import SteeringParameters
 from ampc_msgs_config.types import NANOSECONDS, Array, VehicleState
-from launch_scripts.bags.bag import Bag, BagMessage, open_bag
+from launch_scripts.bags.bag import Bag, open_bag
+from launch_scripts.bags.collector import Collector, Stamps, check_size, decode_path
 
 DEBUG = dict(zip(topics.QUANTITIES, topics.DEBUG_QUANTITIES, strict=True))
 WANTED = (
@@ -24,23 +23,8 @@ WANTED = (
     *(topics.WIND, topics.REFERENCE_PATH, topics.PREDICTED_PATH, topics.TICK),
     *(topics.STOP_REQUEST, *topics.CONFIGURATIONS, *topics.QUANTITIES),
 )
-UNPACK: dict[str, Callable[[Any], tuple[Any, ...]]] = {
-    topics.ODOM: ros.vehicle_state,
-    topics.TARGET_SPEED: ros.target_speed,
-    topics.WIND: lambda m: (ros.nanoseconds(m.header.stamp), m.vector.x, m.vector.y),
-    topics.TICK: lambda m: (ros.nanoseconds(m.header.stamp), *m.position),
-}
-"""Functions that return stamp [ns] and values of a message, by topic."""
-STEERING = (topics.STEERING_COMMAND, topics.STEERING_STATE)
-MAX_PREDICTIONS = 1000
-"""At least this many predicted paths are kept of a bag that has more; they are thinned evenly."""
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
-FIRST_STAMP = 10 * NANOSECONDS
-"""A clock that starts at 0 has stamps below this; otherwise a stamp of 0 was never set [ns]."""
-LARGEST_VALUE = 1e12
-"""Largest value of a message; a larger one is damaged."""
 INCOMPLETE = "The bag was not closed or is damaged: a part may be missing."
-Stamps = NDArray[np.int64]
 
 
 class Sample(NamedTuple):
@@ -113,6 +97,7 @@ def read_columns(
         collector = Collector(bag, prefix, odom, topic_steering(bag, prefix) or steering)
         for message in bag.messages(wanted):
             collector.take(message)
+        collector.finish()
         return arrange(collector, notes)
 
 
@@ -192,153 +177,6 @@ def topic_steering(bag: Bag, prefix: str) -> SteeringParameters | None:
     return None
 
 
-class ColumnRows(NamedTuple):
-    """Rows of one topic."""
-
-    stamps: Stamps
-    """(n,) [ns]; all 0 without stamps."""
-    log_times: Stamps
-    """(n,) [ns]."""
-    values: Array
-    """(n, k)."""
-
-
-class Column:
-    """Collects the rows of one topic in little memory."""
-
-    def __init__(self) -> None:
-        """Create an empty column."""
-        self.stamps, self.log_times, self.numbers = array("q"), array("q"), array("d")
-        self.rejected, self.reason = 0, ""
-
-    def add(self, log_time_ns: int, stamp_ns: int, *values: float) -> None:
-        """Append a row."""
-        self.log_times.append(log_time_ns)
-        self.stamps.append(stamp_ns)
-        self.numbers.extend(values)
-
-    def reject(self, reason: str, count: int = 1) -> None:
-        """Count messages that cannot be used."""
-        self.rejected, self.reason = self.rejected + count, self.reason or reason
-
-    def rows(self, topic: str, notes: list[str]) -> ColumnRows:
-        """Return the rows without stamps that were never set; note rejected messages.
-
-        Args:
-            topic: Full name of the topic.
-            notes: Receives one sentence for each kind of fault.
-        """
-        stamps, total = np.asarray(self.stamps), self.rejected + len(self.stamps)
-        values = np.asarray(self.numbers).reshape(len(stamps), -1 if len(stamps) else 1)
-        is_set: Any = stamps != 0
-        unset = len(stamps) - int(is_set.sum())
-        if 0 < unset < len(stamps) and stamps[is_set].min() >= FIRST_STAMP:
-            self.reject("the stamp is 0", unset)
-        else:
-            is_set = slice(None)  # no copy
-        if self.rejected:
-            notes.append(f"{topic}: {self.rejected} of {total} messages rejected: {self.reason}.")
-        if back := int((np.diff(stamps[is_set]) < 0).sum()):
-            notes.append(f"{topic}: time goes back {back} times; sorted by the stamps.")
-        return ColumnRows(stamps[is_set], np.asarray(self.log_times)[is_set], values[is_set])
-
-
-class Collector:
-    """Collects the numbers of the messages of one bag."""
-
-    def __init__(self, bag: Bag, prefix: str, odom: str, steering: SteeringParameters) -> None:
-        """Create an empty collector.
-
-        Args:
-            bag: Decodes the messages.
-            prefix: Namespace with its slash, which precedes the names of the topics.
-            odom: Full name of the topic of the odometry.
-            steering: Ratio and offset of the steering topics.
-        """
-        self.bag, self.prefix, self.odom, self.steering = bag, prefix, odom, steering
-        self.columns: dict[str, Column] = {topics.ODOM: Column()}
-        self.tick_names: list[str] = []
-        self.paths: list[tuple[int, Array]] = []
-        self.predictions: list[BagMessage] = []
-        self.prediction_count, self.prediction_step = 0, 1
-        self.texts: dict[str, str] = {}
-
-    def take(self, message: BagMessage) -> None:
-        """Add a message to its column; one that cannot be used is counted."""
-        name = message.topic[len(self.prefix) :]
-        name = topics.ODOM if message.topic == self.odom else name
-        if name == topics.PREDICTED_PATH:
-            self.thin(message)
-            return
-        column = self.columns.setdefault(name, Column())
-        try:
-            self.unpack(name, self.bag.decode(message), message.log_time_ns, column)
-        except ValueError as error:
-            column.reject(str(error))
-
-    def thin(self, prediction: BagMessage) -> None:
-        """Keep one prediction in `prediction_step`; double that step when there are too many."""
-        if self.prediction_count % self.prediction_step == 0:
-            self.predictions.append(prediction)
-        self.prediction_count += 1
-        if len(self.predictions) > 2 * MAX_PREDICTIONS:
-            self.predictions, self.prediction_step = self.predictions[::2], 2 * self.prediction_step
-
-    def unpack(self, name: str, message: Any, log_time_ns: int, column: Column) -> None:
-        """Add the numbers of a message to its column.
-
-        Raises:
-            ValueError: The content violates the contract of the topic.
-        """
-        if name == topics.TICK:  # all rows have the quantities of the first message
-            self.tick_names = self.tick_names or list(message.name)
-            if message.name != self.tick_names or len(message.position) != len(self.tick_names):
-                raise ValueError("its quantities are not those of the first message")
-        if name in STEERING:
-            stamp_ns, angle = ros.steering_angle(message, self.steering)
-            check_size([angle])
-            column.add(log_time_ns, stamp_ns, angle)
-        elif name in UNPACK:
-            stamp_ns, *values = UNPACK[name](message)
-            if name != topics.TICK:  # its quantities have ranges of their own
-                check_size(values)
-            column.add(log_time_ns, stamp_ns, *values)
-        elif name == topics.REFERENCE_PATH:
-            points = path_array(message)
-            check_size(points)
-            if not self.paths or not np.array_equal(points, self.paths[-1][1]):
-                self.paths.append((log_time_ns, points))
-                column.add(log_time_ns, 0, float(len(points)))
-        elif name in topics.CONFIGURATIONS:
-            self.texts[name.partition("/")[0]] = message.data
-        else:  # Bool and Float64
-            check_size([message.data], allow_nan=True)
-            column.add(log_time_ns, 0, float(message.data))
-
-
-def path_array(message: Any) -> Array:
-    """Return the positions of a path (n, 2) [m]."""
-    return np.array(ros.path_points(message), dtype=float).reshape(-1, 2)
-
-
-def check_size(values: Any, *, allow_nan: bool = False) -> None:
-    """Check that values are not those of a damaged message.
-
-    Args:
-        values: Numbers of a message, in its units.
-        allow_nan: Whether numbers may be nan or infinite, which means that there is none.
-
-    Raises:
-        ValueError: A number is not finite, or its size is beyond the limit.
-    """
-    numbers = np.asarray(values, dtype=float)
-    finite = np.isfinite(numbers)
-    if not (allow_nan or finite.all()):
-        raise ValueError("a value is not finite")
-    if np.abs(numbers[finite]).max(initial=0.0) > LARGEST_VALUE:
-        raise ValueError(f"a value is beyond {LARGEST_VALUE:g}")
-
-
 def arrange(collector: Collector, notes: list[str]) -> BagColumns:
     """Convert all columns to one time axis.
 
@@ -385,9 +223,8 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
     predictions, faults = [], list[str]()
     for serialised in collector.predictions:  # one at a time: they are big
         try:
-            message = collector.bag.decode(serialised)
-            stamp_ns = np.array(ros.nanoseconds(message.header.stamp))
-            points = path_array(message)
+            path_stamp_ns, points = decode_path(collector.bag, serialised)
+            stamp_ns = np.array(path_stamp_ns)
             check_size(points)
             predictions.append(Sample(float(seconds(stamp_ns)), points))
         except ValueError as error:

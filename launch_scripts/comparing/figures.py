@@ -12,7 +12,13 @@ from scipy.ndimage import maximum_filter1d
 from ampc_msgs_config.metrics import ticks
 from ampc_msgs_config.paths.path_frame import along_chord, path_frame
 from launch_scripts.comparing.cells import Cell
-from launch_scripts.reporting.style import CONTROLLER_STYLES, REFERENCE_STYLE, label_ends, lay_out, stack
+from launch_scripts.reporting.style import (
+    CONTROLLER_STYLES,
+    REFERENCE_STYLE,
+    label_ends,
+    lay_out,
+    stack,
+)
 from launch_scripts.run.simulated import centre_of_gravity, ticks_until_lost
 
 FINEST = 1.0e-4

@@ -39,7 +39,7 @@ class PathPreamble(NamedTuple):
 
 
 class NotTabular(Exception):
-    """The poses do not form a table."""
+    """The content does not form a table."""
 
 
 def preamble(data: bytes) -> PathPreamble:
