@@ -209,10 +209,13 @@ def arrange(collector: Collector, notes: list[str]) -> BagColumns:
         return np.asarray(times - offsets[np.clip(before, 0, len(offsets) - 1)])
 
     values = {}
-    for name, (stamps, times, numbers) in rows.items():
+    collector.columns.clear()
+    for name in list(rows):  # the memory of each column is free before the next one is copied
+        stamps, times, numbers = rows.pop(name)
         stamps = stamps if stamps.any() else stamps_of(times)
         table = np.column_stack((seconds(stamps), numbers))
-        values[name] = table[np.argsort(stamps, kind="stable")]
+        in_order = bool((np.diff(stamps) >= 0).all())
+        values[name] = table if in_order else table[np.argsort(stamps, kind="stable")]
     path_times = stamps_of(np.array([time_ns for time_ns, _ in collector.paths], dtype=np.int64))
     configuration = {}
     for node, text in collector.texts.items():

@@ -18,7 +18,7 @@ from ampc_msgs_config.types import NANOSECONDS, Array
 
 NUMBER = 8
 """Length of a number [bytes]."""
-LONGEST_ROW = 100_000
+MOST_BYTES = 100_000
 """Length beyond which messages are not read as a table [bytes]."""
 
 
@@ -127,7 +127,7 @@ def layout_of(type_name: str, data: bytes) -> Layout:
     Raises:
         NotTabular: The type is unknown, or the bytes are not plain CDR, or too many or too few.
     """
-    if data[: len(LITTLE_ENDIAN)] != LITTLE_ENDIAN or len(data) > LONGEST_ROW:
+    if data[: len(LITTLE_ENDIAN)] != LITTLE_ENDIAN or len(data) > MOST_BYTES:
         raise NotTabular
     if type_name not in LAYOUTS:
         raise NotTabular
