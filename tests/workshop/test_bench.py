@@ -51,7 +51,7 @@ MAKERS: dict[str, tuple[str, Maker, Gains]] = {
 }
 """Package, constructor, and gains of the solved problem."""
 EXACT = ("ours", "DAQP", "quadprog")
-PARTS = ("solvers", "growth", "swarm", "scaling")
+PARTS = ("solvers", "growth", "swarm", "scaling", "inputs")
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ PARTS = {
     "scaling": ("bench_swarm", "measure_scaling"),
     "start": ("bench_node", "measure_start"),
     "node": ("bench_node", "measure"),
+    "inputs": ("bench_inputs", "measure"),
 }
 """Module and function that returns the tables of a part."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -1,16 +1,14 @@
-"""Measure what large inputs and help cost: `python -m tests.workshop.bench.bench_inputs`.
+"""Measure what large inputs and help cost: part `inputs` of `make bench`.
 
-Prints a Markdown table of processor times, each the least of three. The time of PyYAML's own parser
-and of NumPy's import are measured in the same run, for comparison.
+The time of PyYAML's own parser and of NumPy's import are measured in the same run, for comparison.
 """
 
-import argparse
 import resource
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from unittest.mock import patch
 
@@ -24,6 +22,7 @@ from ampc_msgs_config.parameters import ChassisParameters
 from ampc_msgs_config.types import Array
 from ampc_msgs_config.vehicle_file import load_section
 from ampc_ros.nodes.received_path import PathRequest, Shift, build_path, prepare
+from tests.workshop.bench.bench_report import Section
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMANDS = sorted(
@@ -31,19 +30,33 @@ COMMANDS = sorted(
     for file in (ROOT / "launch_scripts").glob("*.py")
     if file.stem not in ("__init__", "setup")
 )
+TITLE = "Large inputs and help"
+NOTE = (
+    "Processor times, those of texts, repeated paths and help the least of three. The threshold of "
+    "help is twice the time of NumPy's import in the same run."
+)
+YAML_THRESHOLD, HELP_RATIO = 1.0, 2.0
+PATH_THRESHOLDS = {10_000: 0.01, 100_000: 0.1, 1_000_000: 1.0}
+AGAIN_THRESHOLDS = {100_000: 0.001}
+"""By number of poses [s]."""
 YAML_SIZE = 4_900_000
 """Size of the YAML texts [characters]."""
 PURE_SHARE = 50
 """PyYAML's own parser reads this fraction of the text."""
 ROUNDS = 3
 
+TimeRow = tuple[str, float, float | None]
+"""What is measured, processor time [s], its threshold [s]."""
 
-def main() -> None:
-    """Print the table."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    print("| what | processor time [s] |\n|---|---|")
-    for what, seconds in [*yaml_rows(), *path_rows(), *help_rows()]:
-        print(f"| {what} | {seconds:.3g} |", flush=True)
+
+def measure(*, quick: bool) -> list[Section]:
+    """Return one table of processor times, and its thresholds."""
+    counts = (1_000,) if quick else tuple(PATH_THRESHOLDS)
+    yaml_size = YAML_SIZE // PURE_SHARE if quick else YAML_SIZE
+    commands = COMMANDS[:1] if quick else COMMANDS
+    rows = [*yaml_rows(yaml_size), *path_rows(counts), *help_rows(commands)]
+    heads = "what", "processor time [s]", "threshold [s]"
+    return [Section("inputs", TITLE, NOTE, [dict(zip(heads, row, strict=True)) for row in rows])]
 
 
 def least(function: Callable[[], object]) -> float:
@@ -56,8 +69,8 @@ def least(function: Callable[[], object]) -> float:
     return min(times)
 
 
-def yaml_rows() -> Iterator[tuple[str, float]]:
-    """Yield the times of YAML texts."""
+def yaml_rows(size: int) -> Iterator[TimeRow]:
+    """Yield the times of YAML texts of a size [characters]."""
     rng = np.random.default_rng(1)
     numbers = rng.uniform(-100.0, 100.0, (400_000, 2)).tolist()
     shapes = {
@@ -66,15 +79,16 @@ def yaml_rows() -> Iterator[tuple[str, float]]:
     }
     for name, lines in shapes.items():
         text = "".join(lines)
-        text = text[: text.rindex("\n", 0, YAML_SIZE) + 1]
-        part = text[: text.rindex("\n", 0, YAML_SIZE // PURE_SHARE) + 1]
+        text = text[: text.rindex("\n", 0, size) + 1]
+        part = text[: text.rindex("\n", 0, size // PURE_SHARE) + 1]
         label = f"YAML, {len(text) / 1e6:.1f} MB, {name}"
-        yield label, least(lambda text=text: config.parse(text, "text"))  # type: ignore[misc]
+        duration = least(lambda text=text: config.parse(text, "text"))  # type: ignore[misc]
+        yield label, duration, YAML_THRESHOLD
         begin = time.process_time()
         with patch.object(yaml, "__with_libyaml__", False):
             config.parse(part, "text")
         pure = (time.process_time() - begin) * len(text) / len(part)
-        yield f"the same with PyYAML's own parser, extrapolated from 1/{PURE_SHARE}", pure
+        yield f"the same with PyYAML's own parser, extrapolated from 1/{PURE_SHARE}", pure, None
 
 
 def serialized(points: Array) -> bytes:
@@ -89,36 +103,34 @@ def serialized(points: Array) -> bytes:
     return bytes(head) + rows.tobytes()
 
 
-def path_rows() -> Iterator[tuple[str, float]]:
-    """Yield the times from a serialised path to a smoothed one."""
+def path_rows(counts: Sequence[int]) -> Iterator[TimeRow]:
+    """Yield the times from serialised paths of some numbers of poses to smoothed ones."""
     chassis = load_section(ChassisParameters, config.find("vehicles", "paper"), "chassis")
     request = PathRequest(Shift(), chassis, 0.5, None)
     prepare()
-    for count in (10_000, 100_000, 1_000_000):
+    for count in counts:
         s = 0.1 * np.arange(count)
         points = np.column_stack((s, 20.0 * np.sin(s / 60.0)))
         data, other = serialized(points), serialized(points + 1.0)
         begin = time.process_time()
         build_path(data, request)
+        duration = time.process_time() - begin
         label = f"path of {count:,} poses, 0.1 m apart"
-        yield f"{label}: read, check, smooth", time.process_time() - begin
+        yield f"{label}: read, check, smooth", duration, PATH_THRESHOLDS.get(count)
         again = bytes(bytearray(data))
         assert has_positions_of(again, data)
         assert not has_positions_of(other, data)
-        yield (
-            f"{label}: recognise it when it is sent again",
-            least(
-                lambda a=again, b=data: has_positions_of(a, b)  # type: ignore[misc]
-            ),
-        )
+        took = least(lambda a=again, b=data: has_positions_of(a, b))  # type: ignore[misc]
+        yield f"{label}: recognise it when it is sent again", took, AGAIN_THRESHOLDS.get(count)
 
 
-def help_rows() -> Iterator[tuple[str, float]]:
+def help_rows(commands: Sequence[str]) -> Iterator[TimeRow]:
     """Yield the times of NumPy's import and of the help of commands."""
-    yield "`python -c 'import numpy'`", process_time("-c", "import numpy")
-    for name in COMMANDS:
+    numpy = process_time("-c", "import numpy")
+    yield "`python -c 'import numpy'`", numpy, None
+    for name in commands:
         file = str(ROOT / "launch_scripts" / f"{name}.py")
-        yield f"`{name}.py --help`", process_time(file, "--help")
+        yield f"`{name}.py --help`", process_time(file, "--help"), HELP_RATIO * numpy
 
 
 def process_time(*arguments: str) -> float:
@@ -130,7 +142,3 @@ def process_time(*arguments: str) -> float:
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return min(times)
-
-
-if __name__ == "__main__":
-    main()

@@ -34,6 +34,7 @@ def threshold_table(sections: Sequence[Section]) -> list[Section]:
         "swarm_preview": lambda rows: of_swarm("preview", rows),
         "scaling": of_scaling,
         "node": of_node,
+        "inputs": of_inputs,
     }
     rows = [row for s in sections if s.key in evaluations for row in evaluations[s.key](s.rows)]
     return [Section("thresholds", "Thresholds", NOTE, rows)] if rows else []
@@ -131,4 +132,13 @@ def of_node(rows: list[Row]) -> list[Row]:
                 "<= 2",
             ),
         )
+    ]
+
+
+def of_inputs(rows: list[Row]) -> list[Row]:
+    """Compare the processor times of large inputs and help."""
+    limits = [(row, row["threshold [s]"]) for row in rows if row["threshold [s]"] is not None]
+    return [
+        compare(row["what"], "processor time [s]", row["processor time [s]"], f"<= {limit:.3g}")
+        for row, limit in limits
     ]
