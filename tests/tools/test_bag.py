@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
@@ -111,6 +112,21 @@ def test_messages_of_one_log_time_keep_the_order_of_recording(tmp_path: Path) ->
     write_file(tmp_path / "bag_0.mcap", drive[:30], chunk_size=4000)
     write_file(tmp_path / "bag_1.mcap", drive[30:], chunk_size=4000)
     assert [sent.number for sent in read_back(tmp_path)] == list(range(60))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_messages_of_overlapping_chunks_come_in_the_order_of_the_library(
+    tmp_path: Path, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.repeat(np.arange(60), 5) + rng.integers(0, 40, 300)  # equal ones, too
+    drive = [Sent(int(t), 0.1 * n, number=n) for n, t in enumerate(times)]
+    write_file(tmp_path / "bag_0.mcap", drive, chunk_size=4000)
+    with (tmp_path / "bag_0.mcap").open("rb") as stream:
+        expected = [message.data for _, _, message in make_reader(stream).iter_messages()]
+    with open_bag(tmp_path) as bag:
+        assert [message.data for message in bag.messages(bag.topics)] == expected
+        assert list(bag.messages({"/no_such_topic"})) == []
 
 
 def test_a_contract_topic_of_another_type_is_refused_in_one_line(tmp_path: Path) -> None:
