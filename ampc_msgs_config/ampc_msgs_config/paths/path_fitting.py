@@ -1,6 +1,7 @@
 """Fit a smooth spline to points, and sample it at equal arc length."""
 
 import math
+from bisect import bisect_left
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -257,11 +258,10 @@ def _end_of_standstill(points: Array, first: int) -> int:
 
 def _spline(chord: Array, corners: Array) -> Any:
     """Return a cubic spline over the chord length; least squares where points are fine."""
-    knots = [0]
-    gap = (
-        KNOT_GAP - ROUNDING
-    )  # without it, moving a path with spacings that divide 1 m would move knots
-    while (following := int(np.searchsorted(chord, chord[knots[-1]] + gap))) < len(chord):
+    knots, places = [0], chord.tolist()
+    # without the rounding, moving a path with spacings that divide 1 m would move knots
+    gap = KNOT_GAP - ROUNDING
+    while (following := bisect_left(places, places[knots[-1]] + gap)) < len(places):
         knots.append(following)
     if len(knots) < 6:
         degree = min(3, len(corners) - 1)

@@ -117,11 +117,17 @@ def chord_parameter(points: Array, chord: float = CHORD, *, closed: bool = False
 def _chain(points: Array, chord: float) -> NDArray[np.int64]:
     """Return the indices of points at least `chord` apart, from the first to the last point."""
     x, y = points.T.tolist()
+    # no point is further away than along the path, so that those in between need no look
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))).tolist()
     kept, a, b = [0], x[0], y[0]
-    for i in range(1, len(x)):
+    i = bisect_left(way, chord - KNOT_ROUNDING, 1)
+    while i < len(x):
         if (x[i] - a) ** 2 + (y[i] - b) ** 2 >= chord**2:
             kept.append(i)
             a, b = x[i], y[i]
+            i = bisect_left(way, way[i] + chord - KNOT_ROUNDING, i + 1)
+        else:
+            i += 1
     last = len(x) - 1
     if kept[-1] != last:
         if len(kept) > 2 and math.hypot(x[last] - a, y[last] - b) < chord / 2:
