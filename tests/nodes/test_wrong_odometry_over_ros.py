@@ -44,7 +44,7 @@ class Defective(Foreign):
         self.odom.publish(ros.odometry_message(state, self.frame))
 
     def drive_until_report(self, text: str) -> str:
-        """Drive until the diagnostics contain a text, in fast simulated time; return the sentence."""
+        """Drive fast until the diagnostics contain a text; return the sentence."""
         timer = self.create_timer(PERIOD / FASTER, self.on_drive, clock=self.wall)
         limit = time.monotonic() + TIMEOUT
         while text not in (sentence := self.report()):
