@@ -1,8 +1,9 @@
 """Fixtures and markers of all tests: ROS domains, and a check that no process is left."""
 
+import gc
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -31,6 +32,17 @@ providers.is_local_module_file = lambda _: False  # type: ignore[assignment, att
 def pytest_configure() -> None:
     """Let signals end the processes of the tests."""
     restore_signals()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Load the tests without searches for garbage: each of them would go through all of them."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

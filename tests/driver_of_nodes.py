@@ -1,7 +1,8 @@
 """A node that manages a controller by its services, and publishes a drive along a circle."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -22,6 +24,8 @@ from tests.ros_nodes import add, spin_until
 from tests.waiting import SCALE
 
 CIRCLE = np.array([(30.0 * np.sin(a), 30.0 - 30.0 * np.cos(a)) for a in np.arange(0.0, 5.6, 0.05)])
+STATE_PERIOD = 0.01
+"""Wall time from one state to the next [s]: one after the other would leave no time to others."""
 LOST_ANSWER = 15.0 * SCALE
 """Wall time after which a service is called again [s]."""
 OURS = {f"/{ros.STEERING_COMMAND}", f"/{ros.STOP_REQUEST}", f"/{ros.TICK}"}
@@ -59,6 +63,9 @@ class Driver(Node):
         self.paths.publish(ros.path_message(CIRCLE, self.first_ns))
         self.changing = self.create_client(ChangeState, "controller/change_state")
         self.asking = self.create_client(GetState, "controller/get_state")
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.states = self.create_timer(STATE_PERIOD, self.drive, clock=steady)
+        self.states.cancel()
         add(executor, self)
 
     @property
@@ -86,15 +93,14 @@ class Driver(Node):
 
         def is_answered() -> bool:
             nonlocal until
-            if driving:
-                self.drive()
             if time.monotonic() > until:
                 anew = self.create_client(client.srv_type, client.srv_name)
                 futures.append(anew.call_async(request))
                 until += LOST_ANSWER
             return any(future.done() for future in futures)
 
-        spin_until(self.executor_of_all, is_answered)
+        with self.driving() if driving else nullcontext():
+            spin_until(self.executor_of_all, is_answered)
         return next(future.result() for future in futures if future.done())
 
     def change(self, transition: int) -> bool:
@@ -115,14 +121,20 @@ class Driver(Node):
         self.odom.publish(ros.odometry_message(state))
         return state
 
+    @contextmanager
+    def driving(self) -> Iterator[None]:
+        """Publish states meanwhile, the first one at once."""
+        self.drive()
+        self.states.reset()
+        try:
+            yield
+        finally:
+            self.states.cancel()
+
     def drive_until(self, condition: Callable[[], bool]) -> None:
         """Publish states until a condition holds."""
-
-        def driven() -> bool:
-            self.drive()
-            return condition()
-
-        spin_until(self.executor_of_all, driven)
+        with self.driving():
+            spin_until(self.executor_of_all, condition)
 
     def drive_for(self, commands: int) -> list[float]:
         """Publish states until that many more commands have arrived; return their angles [rad]."""

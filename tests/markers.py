@@ -27,11 +27,13 @@ ROS = {
         "test_tune",
         "test_watch",
     ),
+    "test_a_drive_over_ros_is_identified_and_its_vehicle_file_drives",
     "test_a_process_without_a_home_compiles_into_the_temporary_folder",
     "test_an_installed_copy_of_the_packages_uses_the_code_of_the_source_tree",
     "test_another_process_replays_the_same_bits",
     "test_colcon_builds_every_package_as_ament_python",
-    "test_compiled_ticks_say_what_plain_python_says",
+    "test_compiled_ticks_agree_with_plain_python",
+    "test_processes_on_a_cold_cache_compile_the_same_function_for_different_types",
 }
 """Files and tests outside tests/nodes that start nodes or other processes."""
 SLOW = {
