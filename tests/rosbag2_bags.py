@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 
 from ampc_msgs_config import topics
 from ampc_msgs_config.recording.bag_metadata import Extent, Topic, write_metadata
-from ampc_msgs_config.recording.message_types import JAZZY, define
+from ampc_msgs_config.recording.message_types import define, jazzy
 from launch_scripts.bags.bag import open_bag
 from tests.foreign_bags import QOS_OF_HUMBLE
 
@@ -145,7 +145,7 @@ def write_sqlite(
             if each.topic not in links:
                 define(each.type_name)
                 names = each.topic, each.type_name
-                links[each.topic] = writer.add_connection(*names, typestore=JAZZY)
+                links[each.topic] = writer.add_connection(*names, typestore=jazzy())
             writer.write(links[each.topic], each.log_time_ns, each.data)
     return folder
 

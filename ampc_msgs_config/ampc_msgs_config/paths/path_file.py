@@ -5,7 +5,6 @@ from pathlib import Path as File
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ampc_msgs_config.parameters import SizeParameters
 from ampc_msgs_config.paths.csv_columns import read_path_table
@@ -119,6 +118,8 @@ def unusual(path: Path, points: Array, speed: Array) -> str:
         speed: Speed at each sample of the path [m/s].
     """
     text = ""
+    from scipy.spatial import KDTree  # 0.1 s that only files need
+
     apart = np.asarray(KDTree(np.column_stack((path.x, path.y))).query(points)[0])
     i = int(np.argmax(apart))
     if apart[i] > FAR + 5.0 * path.noise:

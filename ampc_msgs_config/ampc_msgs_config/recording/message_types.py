@@ -5,9 +5,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
 from ampc_msgs_config import topics
 
 TOPIC_TYPES = {
@@ -36,8 +33,6 @@ TOPIC_TYPES = {
     **dict.fromkeys(topics.QUANTITIES, "std_msgs/msg/Float64"),
 }
 """Message type of each topic of the contract."""
-JAZZY = get_typestore(Stores.ROS2_JAZZY)
-"""Message types of ROS 2 Jazzy, installed or not; `define` adds others."""
 
 
 class Definition(NamedTuple):
@@ -47,6 +42,14 @@ class Definition(NamedTuple):
     """The `.msg` text, followed by those of all types inside it."""
     type_hash: str
     """ROS type hash, `RIHS01_...`."""
+
+
+@cache
+def jazzy() -> Any:
+    """Return the message types of ROS 2 Jazzy, installed or not; `define` adds others."""
+    from rosbags.typesys import Stores, get_typestore  # loads the types of all distributions
+
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 @cache
@@ -75,17 +78,20 @@ def define(type_name: str) -> Definition:
     Raises:
         ValueError: The type is neither.
     """
-    if type_name not in JAZZY.fielddefs:
+    if type_name not in jazzy().fielddefs:
         try:
-            JAZZY.register(read_definitions(type_name))
+            jazzy().register(read_definitions(type_name))
         except (ImportError, OSError, ValueError) as error:
             raise ValueError(f"{type_name}: this message type is not installed: {error}") from error
-    text, _ = JAZZY.generate_msgdef(type_name, ros_version=2)
-    return Definition(text, JAZZY.hash_rihs01(type_name))
+    text, _ = jazzy().generate_msgdef(type_name, ros_version=2)
+    return Definition(text, jazzy().hash_rihs01(type_name))
 
 
 def read_definitions(type_name: str) -> dict[str, Any]:
-    """Return the parsed `.msg` files of a type and of the types inside it that JAZZY lacks."""
+    """Return the parsed `.msg` files of a type and of the types inside it that `jazzy` lacks."""
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import get_types_from_msg
+
     package, _, name = type_name.split("/")
     # The files are beside the Python package, in <prefix>/share.
     module = Path(str(importlib.import_module(package).__file__))
@@ -97,6 +103,6 @@ def read_definitions(type_name: str) -> dict[str, Any]:
     for _, (kind, content) in types[type_name][1]:
         while kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             kind, content = content[0]
-        if kind is Nodetype.NAME and content not in JAZZY.fielddefs:
+        if kind is Nodetype.NAME and content not in jazzy().fielddefs:
             types |= read_definitions(content)
     return types

@@ -6,7 +6,7 @@ The ROS wheels lack tf2_msgs; the library rosbags serialises its messages.
 import math
 from typing import Any
 
-from ampc_msgs_config.recording.message_types import JAZZY
+from ampc_msgs_config.recording.message_types import jazzy
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
@@ -40,7 +40,7 @@ def pose_transform(odometry: bytes, prefix: str = "") -> bytes | None:
         A serialised tf2_msgs/TFMessage with the stamp, position and quaternion of the odometry, or
         None if they are not finite, the quaternion is zero, or a frame has no name.
     """
-    message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
+    message: Any = jazzy().deserialize_cdr(odometry, ODOMETRY)
     at, turned = message.pose.pose.position, message.pose.pose.orientation
     pose = at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w
     names = message.header.frame_id, message.child_frame_id
@@ -51,7 +51,7 @@ def pose_transform(odometry: bytes, prefix: str = "") -> bytes | None:
 
 def footprint_transform(odometry: bytes, prefix: str = "") -> bytes:
     """Build the `/tf_static` message of a serialised odometry: its child frame -> FOOTPRINT."""
-    message: Any = JAZZY.deserialize_cdr(odometry, ODOMETRY)
+    message: Any = jazzy().deserialize_cdr(odometry, ODOMETRY)
     frame = prefixed(message.child_frame_id, prefix)
     header = build_message("std_msgs/msg/Header", message.header.stamp, frame)
     return transform_message(header, prefix + FOOTPRINT, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
@@ -63,9 +63,9 @@ def transform_message(header: Any, child: str, pose: tuple[float, ...]) -> bytes
     rotation = build_message("geometry_msgs/msg/Quaternion", *pose[3:])
     transform = build_message("geometry_msgs/msg/Transform", translation, rotation)
     stamped = build_message("geometry_msgs/msg/TransformStamped", header, child, transform)
-    return bytes(JAZZY.serialize_cdr(build_message(TF_MESSAGE, [stamped]), TF_MESSAGE))
+    return bytes(jazzy().serialize_cdr(build_message(TF_MESSAGE, [stamped]), TF_MESSAGE))
 
 
 def build_message(type_name: str, *fields: Any) -> Any:
     """Return a message of ROS 2 Jazzy, whose type need not be installed."""
-    return JAZZY.types[type_name](*fields)
+    return jazzy().types[type_name](*fields)
