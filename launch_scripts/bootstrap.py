@@ -208,7 +208,9 @@ def build_workspace() -> None:
         line = cause[0] if cause else last_line(output)
         raise SetupError(f"colcon build failed: {line} ({LOG.relative_to(WORKSPACE)})")
     command = [str(PYTHON), "-m", "launch_scripts.compile_all"]
-    output, failed = run("compiling control tick and simulated car", command, shown="compiling")
+    output, failed = run(
+        "compiling control tick, simulated car and fleet", command, shown="compiling"
+    )
     if failed:
         raise SetupError(f"compiling failed: {last_line(output)} ({LOG.relative_to(WORKSPACE)})")
 

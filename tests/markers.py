@@ -19,6 +19,7 @@ MANY_SWEEPS = ("2000", "enough_sweeps")
 ROS = {
     *("test_environment", "test_guard_coverage", "test_left_processes", "test_loaded_modules"),
     *(
+        "test_compile_all",
         "test_recording",
         "test_report_browser",
         "test_rerun",

@@ -120,7 +120,7 @@ def tyre_of(work: Array, i: int) -> tuple[float, ...]:
     return a, b, c, d, e, f, g, h, j
 
 
-@inlined
+@in_place
 def wheel_forces(
     work: Array,
     motion: tuple[float, float, float],

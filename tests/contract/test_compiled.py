@@ -1,12 +1,16 @@
 """Folder of the machine code, removal of old versions, log lines, private interfaces of numba."""
 
+import gc
 import os
 import re
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -14,6 +18,7 @@ import pytest
 from numba.core.errors import NumbaError
 
 from ampc_msgs_config.compilation import (
+    RARE_COLLECTION,
     Estimate,
     compile_times,
     log_compilation,
@@ -231,6 +236,17 @@ def test_private_module_event_of_numba_reports_each_compilation() -> None:
 
 
 @needs_compilation
+@pytest.mark.parametrize("body", [lambda x: 2.0 * x, lambda x: "text" * x])
+def test_garbage_is_collected_rarely_while_a_function_is_compiled(body: Callable[..., Any]) -> None:
+    usual, seen = gc.get_threshold(), [gc.get_threshold()]
+    with on_compilation(lambda: seen.append(gc.get_threshold())), suppress(NumbaError):
+        compile_without_allocation(body)(1.0)  # the second one cannot be compiled
+    assert seen[1:]
+    assert set(seen[1:]) == {RARE_COLLECTION}
+    assert gc.get_threshold() == usual != RARE_COLLECTION
+
+
+@needs_compilation
 def test_compilation_is_logged_once_at_its_start_and_once_at_its_end() -> None:
     lines: list[str] = []
 
@@ -316,6 +332,23 @@ def test_progress_is_logged_without_a_terminal(
     assert lines[0].endswith(first)
     assert re.fullmatch(second, lines[1])
     assert lines[2].startswith("compiled the car in ")
+
+
+@needs_compilation
+def test_progress_counts_what_another_process_has_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    stored: set[str] = set()
+    monkeypatch.setattr("ampc_msgs_config.compilation.compile_times", lambda _: {"a": 1.0, "b": 3})
+    monkeypatch.setattr("ampc_msgs_config.compilation.INTERVAL_OF_LINES", 0.0)
+    monkeypatch.setattr("ampc_msgs_config.compilation.is_stored", stored.__contains__)
+    lines: list[str] = []
+
+    def log(line: str) -> None:
+        lines.append(line)
+        stored.add("b")
+
+    with log_compilation("car", log):
+        compile_without_allocation(lambda x: 2.0 * x)(1.0)
+    assert lines[1].startswith("compiling the car: 75%")
 
 
 def test_times_of_every_compilation_are_shipped() -> None:

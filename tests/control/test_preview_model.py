@@ -26,7 +26,13 @@ from ampc_ros.mpc.internal_model import (
 )
 from ampc_ros.mpc.model import DELTA, STATES, V_Y, YAW_RATE, BicycleParameters
 from ampc_ros.mpc.small_matrices import make_scratch
-from ampc_ros.preview.model import E_PSI, E_Y, angle_bound, side_acceleration, steady_steering
+from ampc_ros.preview.model import (
+    E_PSI,
+    E_Y,
+    angle_bound,
+    steady_steering,
+    unmodelled_accelerations,
+)
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, predict_on_road
 from tests.filled import laguerre_sequence, lateral_dynamics, running_sum, sampled_model
@@ -147,15 +153,15 @@ def test_prediction_is_the_drive_under_the_commands_in_the_delay_and_the_plan(
     a_y=st.floats(-5.0, 5.0),
     moment=st.floats(-2.0, 2.0),
 )
-def test_side_acceleration_is_recovered_from_the_change_of_the_state(
+def test_accelerations_are_recovered_from_the_change_of_the_state(
     vehicle: BicycleParameters, v_x: float, T_s: float, a_y: float, moment: float
 ) -> None:
     A_c, _ = lateral_dynamics(vehicle, v_x)
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4] = A_c, (a_y, 0.0, moment, 0.0)
     change = np.append(expm(block * T_s)[:4, 4], 0.0)
-    result = side_acceleration(vehicle, v_x, T_s, change, make_scratch(100))
-    assert result == pytest.approx(a_y, abs=1e-8)
+    lateral, yaw = unmodelled_accelerations(vehicle, v_x, T_s, change, make_scratch(100))
+    assert (lateral, yaw) == pytest.approx((a_y, moment), abs=1e-8)
 
 
 @many

@@ -131,17 +131,16 @@ def solve_dual(
     Returns:
         Number of rows that entered; status; whether the result `fits` its active rows.
     """
-    n, entered, status = len(x), 0, task.status
-    smallest = settle(task.start, active, w)
-    backward(task.C, w, n, x)
-    while status == SOLVED and choose_entering_row(qp, task, active, x):
+    entered, status = 0, task.status
+    while True:
+        smallest = settle(task.start, active, w)
+        backward(task.C, w, len(x), x)
+        if status != SOLVED or not choose_entering_row(qp, task, active, x):
+            return entered, status, fits(active, w, smallest, LOOSE * task.scale)
         feasible = enter(active, w)
         entered += 1
-        smallest = settle(task.start, active, w)
-        backward(task.C, w, n, x)
         if not feasible or entered == MAX_ENTRIES:
             status = UNFINISHED if feasible else INFEASIBLE
-    return entered, status, fits(active, w, smallest, LOOSE * task.scale)
 
 
 @in_place

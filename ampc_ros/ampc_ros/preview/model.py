@@ -119,14 +119,6 @@ def unmodelled_accelerations(
     return lateral, yaw
 
 
-@in_place
-def side_acceleration(
-    vehicle: BicycleParameters, v_x: float, T: float, change: Array, scratch: Scratch
-) -> float:
-    """Return the lateral one of `unmodelled_accelerations` [m/s^2]."""
-    return float(unmodelled_accelerations(vehicle, v_x, T, change, scratch)[0])
-
-
 understeer_gradient = in_place(parameters.understeer_gradient)
 """`parameters.understeer_gradient`, compiled."""
 cornering_angle = in_place(parameters.cornering_angle)

@@ -77,9 +77,9 @@ def demanded_angles(vehicle: BicycleParameters, road: Road, T: float, angles: Ar
     """
     now = len(road.behind)
     for i in range(len(angles)):
-        angles[i] = road_angle(vehicle, road, i - now, T, -now)
-    # The angle in force is held until the next tick: it belongs to the change over that tick
-    angles[now] = road_angle(vehicle, road, 0, T, 1 - change_ticks(T))
+        # The angle in force is held until the next tick: it belongs to the change over that tick
+        first = 1 - change_ticks(T) if i == now else -now
+        angles[i] = road_angle(vehicle, road, i - now, T, first)
 
 
 @in_place

@@ -30,7 +30,12 @@ from ampc_ros.mpc.model import DELTA, STATES
 from ampc_ros.mpc.qp import SOLVED
 from ampc_ros.mpc.small_matrices import Scratch, vector
 from ampc_ros.mpc.tick_result import HOLD_BELOW, REVERSE_BELOW, QpResult, TickResult, diagnose
-from ampc_ros.preview.model import blank_model, sample_model, side_acceleration, steady_steering
+from ampc_ros.preview.model import (
+    blank_model,
+    sample_model,
+    steady_steering,
+    unmodelled_accelerations,
+)
 from ampc_ros.preview.nominal_steering import Road
 from ampc_ros.preview.qp_assembly import Past, preview_plan
 from ampc_ros.preview.state_filter import DISTURBANCE_GAIN, MEASURED, correct, update_level
@@ -264,7 +269,7 @@ def preview_tick(
         memory[EXPECTS] = 0.0
     # Diagnosis
     curvature = point_at(path, position.s).curvature
-    unexplained = side_acceleration(model.vehicle, car.v_x, T, disturbance, scratch)
+    unexplained, _ = unmodelled_accelerations(model.vehicle, car.v_x, T, disturbance, scratch)
     feed_forward = steady_steering(model.vehicle, car.v_x, curvature)
     errors, road_values = (position.e_y, position.e_psi), (curvature, feed_forward, unexplained)
     diagnosis = diagnose(errors, road_values, position.mode, plan, gains, steers, outside)

@@ -13,13 +13,13 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
 from ampc_msgs_config.compilation import TIMES, on_compilation
+from launch_scripts import compile_all
 
 LEAST = 0.02
 """Functions that compile faster are left out [s]."""
@@ -36,9 +36,9 @@ def compile_node(module: str, name: str) -> None:
 
 def compile_drive() -> None:
     """Compile what `make setup` compiles."""
-    from launch_scripts.compile_all import compile_everything
-
-    compile_everything()
+    for pair in compile_all.PAIRS:
+        for part in pair:
+            part()
 
 
 def compile_identification() -> None:
@@ -48,23 +48,13 @@ def compile_identification() -> None:
     compile_model()
 
 
-def compile_fleet() -> None:
-    """Compile the fleet of `tune.py`, with a swarm of one particle."""
-    from launch_scripts.tune import main
-
-    with tempfile.TemporaryDirectory() as folder, suppress(SystemExit):
-        main(
-            f"--particles 2 --generations 1 --seeds 1 --workers 1 --output {folder}/g.yaml".split()
-        )
-
-
 COMPILATIONS: dict[str, Callable[[], None]] = {
-    "control tick and simulated car": compile_drive,
+    compile_all.WHAT: compile_drive,
     "controller": lambda: compile_node("ampc_ros.nodes.controller_node", "ControllerNode"),
     "simulator": lambda: compile_node("sim_vehicle.nodes.simulator_node", "SimulatorNode"),
     "planner": lambda: compile_node("ampc_ros.nodes.planner_node", "PlannerNode"),
     "marker": lambda: compile_node("ampc_msgs_config.nodes.marker_node", "MarkerNode"),
-    "fleet of cars": compile_fleet,
+    "fleet of cars": lambda: compile_all.compile_fleet("preview"),
     "model of the identification": compile_identification,
 }
 """By the name with which `log_compilation` reports it."""
