@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -18,7 +19,7 @@ from rcl_interfaces.msg import (
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -28,6 +29,7 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, describe_error, shortened
+from ampc_msgs_config.nodes.message_loop import MessageLoop
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
 from ampc_msgs_config.types import OK, WARN, VehicleState
 
@@ -44,6 +46,8 @@ class BaseNode(Node):
 
     has_compiled_code = True
     """False: the process of this node never imports numba."""
+    needs_events = False
+    """Whether the node reacts to QoS events, which then cost processor time with each message."""
 
     def __init__(self, name: str, *, owns_time: bool = False) -> None:
         """Create the node.
@@ -254,13 +258,13 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     Raises:
         ValueError: A callback raised it in lock-step.
     """
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    loop = MessageLoop(node, node.failed)
+    run_next = partial(node.failed.run_next, loop.executor) if node.needs_events else loop.run_next
     gc.collect()
     gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
-            node.failed.run_next(executor, timeout=0.1)
+            run_next(timeout=0.1)
         return 0
     except ExternalShutdownException:
         return 0
