@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
@@ -11,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.base_node import BaseNode
-from ampc_msgs_config.nodes.message_loop import MessageLoop, execute, ready_entities
+from ampc_msgs_config.nodes.message_loop import MessageLoop, PolledGroup, execute, ready_entities
 from tests.ros_nodes import ros_context
 from tests.waiting import wait_for
 
@@ -58,6 +59,32 @@ def test_execute_leaves_out_what_an_earlier_callback_has_destroyed_or_cancelled(
     for each in (cancelled, destroyed, subscription, other):
         execute(executor, each)
     assert called == ["other"]
+
+
+def test_a_polled_subscription_ends_no_wait_and_is_read_with_all_that_waits(
+    node: BaseNode,
+) -> None:
+    received: list[float] = []
+    node.create_subscription(
+        Float64,
+        "number",
+        lambda message: received.append(message.data),
+        ros.RELIABLE,
+        callback_group=PolledGroup(),
+    )
+    publisher = node.create_publisher(Float64, "number", ros.RELIABLE)
+    wait_for(publisher.get_subscription_count)
+    loop, numbers = MessageLoop(node, node.failed), [1.0, 2.0, 3.0]
+    for number in numbers:
+        publisher.publish(Float64(data=number))
+    assert publisher.wait_for_all_acked(Duration(seconds=10))
+    assert ready_entities(node, 0.1) == []
+
+    def has_all() -> bool:
+        loop.run_next(timeout=0.01)
+        return received == numbers
+
+    wait_for(has_all, period=0.0)
 
 
 def test_services_that_wait_for_a_message_are_answered(node: BaseNode) -> None:

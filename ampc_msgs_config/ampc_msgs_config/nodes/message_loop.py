@@ -3,12 +3,17 @@
 For each callback, the executor of rclpy builds a wait set of all services, events, timers and
 subscriptions, twice. At 100 messages a second this costs more than the callbacks. This loop waits
 for subscriptions, timers and guard conditions only. Services, events and tasks are left to the
-executor, which looks for them every SERVICE_PERIOD.
+executor, which looks for them every SERVICE_PERIOD; so are subscriptions in a `PolledGroup`, whose
+messages end no wait.
 """
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from typing import Any
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -23,9 +28,13 @@ from ampc_msgs_config.types import NANOSECONDS
 
 SERVICE_PERIOD = 0.1
 """Wall time between two looks for requests of services and for events [s]."""
-SERVICES = 100
-"""Largest number of callbacks of services and events that run in one look."""
+MOST = 100
+"""Largest number of callbacks of one kind that run in one look."""
 Entity = Timer | Subscription | GuardCondition
+
+
+class PolledGroup(MutuallyExclusiveCallbackGroup):
+    """Callback group of subscriptions that a `MessageLoop` reads every SERVICE_PERIOD."""
 
 
 class MessageLoop:
@@ -55,15 +64,32 @@ class MessageLoop:
         """
         if time.monotonic() >= self.due:
             self.due = time.monotonic() + SERVICE_PERIOD
-            for _ in range(SERVICES):
-                if not self.failed.run_next(self.executor, timeout=0.0):
-                    break
+            for subscription in filter(is_polled, list(self.node.subscriptions)):
+                repeat(partial(self.execute, subscription))
+            repeat(partial(self.failed.run_next, self.executor, timeout=0.0))
         timeout = min(timeout, max(self.due - time.monotonic(), 0.0))
         for each in ready_entities(self.node, timeout):
-            try:
-                execute(self.executor, each)
-            except Exception as error:
-                self.failed.handle(each, error)
+            self.execute(each)
+
+    def execute(self, entity: Entity) -> bool:
+        """Run the callback of an entity; return whether there was a message, or it was due."""
+        try:
+            return execute(self.executor, entity)
+        except Exception as error:
+            self.failed.handle(entity, error)
+            return True
+
+
+def is_polled(subscription: Subscription) -> bool:
+    """Return whether the messages of a subscription end no wait."""
+    return isinstance(subscription.callback_group, PolledGroup)
+
+
+def repeat(action: Callable[[], bool]) -> None:
+    """Repeat an action until it returns False, at most MOST times."""
+    for _ in range(MOST):
+        if not action():
+            return
 
 
 def ready_entities(node: Node, timeout: float) -> list[Entity]:
@@ -79,7 +105,8 @@ def ready_entities(node: Node, timeout: float) -> list[Entity]:
     Note:
         The wait set and the handles are private interfaces of rclpy.
     """
-    timers, subscriptions, guards = list(node.timers), list(node.subscriptions), list(node.guards)
+    timers, guards = list(node.timers), list(node.guards)
+    subscriptions = [each for each in node.subscriptions if not is_polled(each)]
     if not (timers or subscriptions or guards):  # an empty wait set is an error
         time.sleep(timeout)
         return []
@@ -105,8 +132,10 @@ def ready_entities(node: Node, timeout: float) -> list[Entity]:
     return ready
 
 
-def execute(executor: SingleThreadedExecutor, entity: Entity) -> None:
-    """Run the callback of a ready entity, unless another callback has destroyed or cancelled it.
+def execute(executor: SingleThreadedExecutor, entity: Entity) -> bool:
+    """Run the callback of an entity that has a message or is due; return whether it has, or is.
+
+    Another callback may have destroyed or cancelled it.
 
     Raises:
         Exception: The callback raised it.
@@ -123,6 +152,18 @@ def execute(executor: SingleThreadedExecutor, entity: Entity) -> None:
     if callback:
         with suppress(StopIteration):  # the end of the coroutine
             callback().send(None)
+    return callback is not None
+
+
+def take_message(subscription: Subscription) -> tuple[Any, dict[str, int]] | None:
+    """Return the next message of a subscription with its info, or None.
+
+    Note:
+        `handle.take_message` is a private interface of rclpy.
+    """
+    taken: tuple[Any, dict[str, int]] | None
+    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    return taken
 
 
 def is_due(timer: Timer) -> bool:
