@@ -31,7 +31,7 @@ from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, describe_error, shortened
 from ampc_msgs_config.nodes.message_loop import MessageLoop
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
-from ampc_msgs_config.types import OK, WARN, VehicleState
+from ampc_msgs_config.types import OK, WARN
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """The executor would poll each event callback in every round, which costs more than a tick."""
@@ -57,8 +57,6 @@ class BaseNode(Node):
             owns_time: In lock-step this node publishes the clock that all others follow.
         """
         super().__init__(name)
-        if self.has_compiled_code:
-            compile_conversion()
         self.lock_step: bool = declare(
             self, "lock_step", False, "simulated time advances only when every state is answered"
         )
@@ -143,12 +141,6 @@ class BaseNode(Node):
         message = DiagnosticArray(status=[status])
         message.header.stamp = ros.time_message(stamp_ns)
         self.diagnostics.publish(message)
-
-
-def compile_conversion() -> None:
-    """Compile the conversion of odometry."""
-    at_rest = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    ros.vehicle_state(ros.odometry_message(at_rest))
 
 
 def log_compilation_of(
