@@ -86,7 +86,9 @@ class BaseNode(Node):
         """Return the topics of this node that the awaited recorder has not subscribed to."""
         if not self.wait_for_recorder:
             return []
-        published = {each.topic_name for each in self.publishers} - {topics.PARAMETER_EVENTS}
+        derived = map(self.resolve_topic_name, topics.QUANTITIES)  # by the recorder
+        published = {each.topic_name for each in self.publishers}
+        published -= {topics.PARAMETER_EVENTS, *derived}
         missing = []
         for topic in sorted(published):
             subscribers = self.get_subscriptions_info_by_topic(topic)

@@ -68,9 +68,12 @@ LATCHED_EVERYTHING = QoSProfile(
 BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in TOPIC_TYPES.items() if name != topics.MARKERS
+    name: message_class(type_)
+    for name, type_ in TOPIC_TYPES.items()
+    if name not in (topics.MARKERS, *topics.QUANTITIES)
 }
-"""Without markers: they would be three quarters of a bag. Thinned ones are derived instead."""
+"""Without topics that are derived instead: markers would be three quarters of a bag, and the debug
+topics have the quantities of `controller/tick`."""
 LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
@@ -148,7 +151,9 @@ class Recorder(Node):
         full = partial(self.resolve_topic_name, only_expand=True)
         recorded = set(map(full, further))
         transforms, pictures = (full(n) not in recorded for n in (topics.TF, topics.MARKERS))
-        return DerivedTopics(vehicle, to_cg, prefix, transforms=transforms, pictures=pictures)
+        debug = [name for name in topics.QUANTITIES if full(name) in recorded]
+        wanted = {"transforms": transforms, "pictures": pictures, "recorded": debug}
+        return DerivedTopics(vehicle, to_cg, prefix, **wanted)
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Declare a parameter and return its value."""
