@@ -17,7 +17,7 @@ from ampc_msgs_config.types import NANOSECONDS, RUNGS, SHIFTED_PLAN, Array, Vehi
 REVERSAL_BAND = math.radians(0.2)
 """Smallest movement of the road wheel that counts as a reversal; 3 deg at a steering wheel with a
 ratio of 16 to 1."""
-JITTER, CLOCK_DRIFT = 0.25, 0.02
+STAMP_JITTER, CLOCK_DRIFT = 0.25, 0.02
 """What a gap between stamps may lack of a missed tick, and its error that counts for nothing
 [periods]."""
 LOST = 10.0
@@ -181,7 +181,7 @@ def missed_before(time: Array, period: float) -> NDArray[np.int64]:
     lag = 0.0
     for i, gap in enumerate((np.diff(time) / period).tolist()):
         lag = max(lag + gap - 1.0 - CLOCK_DRIFT, 0.0)
-        missed[i] = int(lag + JITTER)
+        missed[i] = int(lag + STAMP_JITTER)
         lag -= min(float(missed[i]), lag)
     return missed
 

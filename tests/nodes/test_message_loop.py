@@ -38,7 +38,7 @@ def test_ready_entities_are_those_whose_callback_is_due(node: BaseNode) -> None:
     timer.cancel()
     subscription = node.create_subscription(Float64, "number", lambda _: None, ros.RELIABLE)
     publisher = node.create_publisher(Float64, "number", ros.RELIABLE)
-    wait_for(publisher.get_subscription_count)
+    wait_for(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Float64(data=1.0))
     assert ready_entities(node, 10.0) == [subscription]
 
@@ -65,15 +65,19 @@ def test_a_polled_subscription_ends_no_wait_and_is_read_with_all_that_waits(
     node: BaseNode,
 ) -> None:
     received: list[float] = []
+
+    def receive(message: Float64) -> None:
+        received.append(message.data)
+
     node.create_subscription(
         Float64,
         "number",
-        lambda message: received.append(message.data),
+        receive,
         ros.RELIABLE,
         callback_group=PolledGroup(),
     )
     publisher = node.create_publisher(Float64, "number", ros.RELIABLE)
-    wait_for(publisher.get_subscription_count)
+    wait_for(lambda: publisher.get_subscription_count() > 0)
     loop, numbers = MessageLoop(node, node.failed), [1.0, 2.0, 3.0]
     for number in numbers:
         publisher.publish(Float64(data=number))
@@ -93,21 +97,21 @@ def test_services_that_wait_for_a_message_are_answered(node: BaseNode) -> None:
     executor.add_node(other)
 
     async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = await heard == 1.0
+        response.success = (await heard).data == 1.0
         return response
 
     node.create_service(Trigger, "wait", answer)
     client = other.create_client(Trigger, "wait")
     publisher = other.create_publisher(Float64, "number", ros.RELIABLE)
-    node.create_subscription(Float64, "number", lambda m: heard.set_result(m.data), ros.RELIABLE)
+    node.create_subscription(Float64, "number", heard.set_result, ros.RELIABLE)
     loop = MessageLoop(node, node.failed)
-    wait_for(lambda: client.service_is_ready() and publisher.get_subscription_count())
+    wait_for(lambda: client.service_is_ready() and publisher.get_subscription_count() > 0)
     response = client.call_async(Trigger.Request())
 
     def is_answered() -> bool:
         loop.run_next(timeout=0.01)
         executor.spin_once(timeout_sec=0.01)
-        return response.done()
+        return bool(response.done())
 
     for _ in range(20):
         is_answered()

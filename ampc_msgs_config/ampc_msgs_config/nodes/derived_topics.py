@@ -33,7 +33,7 @@ ANGLES = (ros.STEERING_STATE, ros.STEERING_COMMAND)
 """Topics of the road-wheel angle; the measured one comes first."""
 PICTURED = (*ANGLES, ros.STOP_REQUEST)
 """Topics besides `odom` that change the picture."""
-DEBUG = dict(zip(ros.DEBUG_QUANTITIES, ros.QUANTITIES, strict=True))
+DEBUG_TOPICS = dict(zip(ros.DEBUG_QUANTITIES, ros.QUANTITIES, strict=True))
 """Debug topic of the controller by its quantity."""
 FLOAT64 = struct.Struct("<4sd")
 """A serialised std_msgs/Float64: header of plain CDR, number."""
@@ -81,7 +81,7 @@ class DerivedTopics:
         """
         self.car, steering = load_outline(vehicle, base_link_to_cg)
         self.angle_of = partial(ros.steering_angle, steering=steering)
-        self.debug = {key: name for key, name in DEBUG.items() if name not in recorded}
+        self.debug = {key: name for key, name in DEBUG_TOPICS.items() if name not in recorded}
         self.prefix, self.has_transforms, self.has_pictures = prefix, transforms, pictures
         self.begin()
 

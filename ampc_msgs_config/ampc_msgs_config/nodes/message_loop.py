@@ -8,7 +8,7 @@ messages end no wait.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -28,7 +28,7 @@ from ampc_msgs_config.types import NANOSECONDS
 
 SERVICE_PERIOD = 0.1
 """Wall time between two looks for requests of services and for events [s]."""
-MOST = 100
+MOST_CALLBACKS = 100
 """Largest number of callbacks of one kind that run in one look."""
 Entity = Timer | Subscription | GuardCondition
 
@@ -86,8 +86,8 @@ def is_polled(subscription: Subscription) -> bool:
 
 
 def repeat(action: Callable[[], bool]) -> None:
-    """Repeat an action until it returns False, at most MOST times."""
-    for _ in range(MOST):
+    """Repeat an action until it returns False, at most MOST_CALLBACKS times."""
+    for _ in range(MOST_CALLBACKS):
         if not action():
             return
 
@@ -115,15 +115,16 @@ def ready_entities(node: Node, timeout: float) -> list[Entity]:
         len(subscriptions), len(guards), len(timers), 0, 0, 0, context.handle
     )
     wait_set.clear_entities()
-    for each in timers:
-        wait_set.add_timer(each.handle)
-    for each in subscriptions:
-        wait_set.add_subscription(each.handle)
-    for each in guards:
-        wait_set.add_guard_condition(each.handle)
+    for timer in timers:
+        wait_set.add_timer(timer.handle)
+    for subscription in subscriptions:
+        wait_set.add_subscription(subscription.handle)
+    for guard in guards:
+        wait_set.add_guard_condition(guard.handle)
     wait_set.wait(round(timeout * NANOSECONDS))
     if not context.ok():
         raise ExternalShutdownException
+    kinds: dict[str, Sequence[Entity]]
     kinds = {"timer": timers, "subscription": subscriptions, "guard_condition": guards}
     ready: list[Entity] = []
     for kind, entities in kinds.items():

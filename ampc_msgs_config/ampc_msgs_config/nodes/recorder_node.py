@@ -152,8 +152,9 @@ class Recorder(Node):
         recorded = set(map(full, further))
         transforms, pictures = (full(n) not in recorded for n in (topics.TF, topics.MARKERS))
         debug = [name for name in topics.QUANTITIES if full(name) in recorded]
-        wanted = {"transforms": transforms, "pictures": pictures, "recorded": debug}
-        return DerivedTopics(vehicle, to_cg, prefix, **wanted)
+        return DerivedTopics(
+            vehicle, to_cg, prefix, transforms=transforms, pictures=pictures, recorded=debug
+        )
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Declare a parameter and return its value."""

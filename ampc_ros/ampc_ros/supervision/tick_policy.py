@@ -6,9 +6,9 @@ from enum import Enum
 from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
 
-FASTEST, SLOWEST = 0.9, 1.5
+IN_STEP = (0.9, 1.5)
 """Mean time between states that come at the rate of the controller [periods]; some may be lost."""
-PATIENCE = 1.5
+LONGEST_WAIT = 1.5
 """Age of the last command up to which such a state may be late [periods]. It may come just before
 and just after the calls of the timer in turn."""
 INTERVALS = 8
@@ -32,10 +32,10 @@ class TickPolicy:
 
     A tick without a new state is deferred: the next state is answered at once. A tick is missed
     where that state does not come before the next tick either, or where the timer left the tick
-    out. At the rate of the controller, the last command must be older than PATIENCE periods, too.
-    The last state is then continued by the model, where it can be predicted; with odometry slower
-    than the controller, all ticks between two states are. A state that is late is answered without
-    a new one.
+    out. At the rate of the controller, the last command must be older than LONGEST_WAIT, too. The
+    last state is then continued by the model, where it can be predicted; with odometry slower than
+    the controller, all ticks between two states are. A state that is late is answered without a new
+    one.
 
     In lock-step every state is answered once; the same state again repeats the same command.
     """
@@ -75,7 +75,8 @@ class TickPolicy:
         if count < 1:
             return False
         interval_ns = (self._stamps[-1] - self._stamps[0]) / count
-        return FASTEST * self._period_ns <= interval_ns <= SLOWEST * self._period_ns
+        low, high = IN_STEP
+        return low * self._period_ns <= interval_ns <= high * self._period_ns
 
     def take_state(self, state: VehicleState, now_ns: int) -> bool:
         """Pass a state to the supervisor; a restart of the controller restarts the policy, too.
@@ -114,7 +115,7 @@ class TickPolicy:
         self._count_left_out(now_ns, left_ns)
         if not self.is_answered or self.supervisor.is_state_late(now_ns):
             return Action.TICK
-        is_recent = 0 < now_ns - self._ticked_ns <= PATIENCE * self._period_ns
+        is_recent = 0 < now_ns - self._ticked_ns <= LONGEST_WAIT * self._period_ns
         is_overdue = self._is_deferred and not (is_recent and self.is_in_step)
         is_continued = is_overdue or self._is_continued or self._is_slow
         self.missed += is_continued
