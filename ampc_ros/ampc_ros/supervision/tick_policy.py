@@ -11,6 +11,8 @@ IN_STEP = (0.9, 1.5)
 LONGEST_WAIT = 1.5
 """Age of the last command up to which such a state may be late [periods]. It may come just before
 and just after the calls of the timer in turn."""
+CLOSEST_STATES = 0.4
+"""Shortest time between two such states [periods]; faster states after a silence come closer."""
 INTERVALS = 8
 """Number of the times between states that are averaged."""
 
@@ -73,6 +75,8 @@ class TickPolicy:
         """Whether states come at the rate of the controller."""
         count = len(self._stamps) - 1
         if count < 1:
+            return False
+        if self._stamps[-1] - self._stamps[-2] < CLOSEST_STATES * self._period_ns:
             return False
         interval_ns = (self._stamps[-1] - self._stamps[0]) / count
         low, high = IN_STEP
