@@ -17,6 +17,9 @@ from ampc_msgs_config.types import NANOSECONDS, RUNGS, SHIFTED_PLAN, Array, Vehi
 REVERSAL_BAND = math.radians(0.2)
 """Smallest movement of the road wheel that counts as a reversal; 3 deg at a steering wheel with a
 ratio of 16 to 1."""
+STAMP_JITTER, CLOCK_DRIFT = 0.25, 0.02
+"""What a gap between stamps may lack of a missed tick, and its error that counts for nothing
+[periods]."""
 LOST = 10.0
 """Cross-track error beyond which a car counts as lost [m]."""
 AT_LIMIT = 1e-3
@@ -160,8 +163,27 @@ def rms(values: Array) -> float:
 
 def missed_ticks(time: Array, period: float) -> int:
     """Return the number of missing ticks between stamps (n,) [s] for a sample time [s]."""
-    gaps = np.rint(np.diff(time) / period).astype(int)
-    return int(np.maximum(gaps - 1, 0).sum())
+    return int(missed_before(time, period).sum())
+
+
+def missed_before(time: Array, period: float) -> NDArray[np.int64]:
+    """Return the number of missing ticks before each stamp but the first (n - 1,).
+
+    Args:
+        time: Stamps (n,) [s].
+        period: Sample time [s].
+
+    Note:
+        The stamps are those of the answered states, which jitter: a short gap after a long one
+        makes up for it. Gaps up to CLOCK_DRIFT too long are those of a slow clock.
+    """
+    missed = np.zeros(max(len(time) - 1, 0), np.int64)
+    lag = 0.0
+    for i, gap in enumerate((np.diff(time) / period).tolist()):
+        lag = max(lag + gap - 1.0 - CLOCK_DRIFT, 0.0)
+        missed[i] = int(lag + STAMP_JITTER)
+        lag -= min(float(missed[i]), lag)
+    return missed
 
 
 def reversals(angle: Array, band: float = REVERSAL_BAND) -> int:

@@ -1,4 +1,4 @@
-"""Angles of quaternions, without compiled code."""
+"""Angles of quaternions, without compiled code: a process that only converts needs no compiler."""
 
 import math
 

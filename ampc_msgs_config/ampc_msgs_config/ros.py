@@ -18,7 +18,7 @@ from std_msgs.msg import MultiArrayDimension, MultiArrayLayout, UInt8MultiArray
 
 from ampc_msgs_config.nodes.qos import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.parameters import SteeringParameters
-from ampc_msgs_config.quaternions import tilt_from_quaternion
+from ampc_msgs_config.quaternions import quaternion_of, tilt_from_quaternion, yaw_of
 from ampc_msgs_config.topics import *  # noqa: F403 (public names of this module, too)
 from ampc_msgs_config.topics import BASE_LINK, MAP, STEERING_JOINT, TICK_QUANTITIES
 from ampc_msgs_config.types import (
@@ -81,14 +81,12 @@ def nanoseconds(stamp: Time) -> int:
 
 def odometry_message(state: VehicleState, frame_id: str = MAP) -> Odometry:
     """Pack a state: pose in a fixed frame, twist in `base_link`."""
-    from ampc_msgs_config.frames import quaternion_from_yaw
-
     message = Odometry()
     message.header.stamp = time_message(state.stamp_ns)
     message.header.frame_id, message.child_frame_id = frame_id, BASE_LINK
     message.pose.pose.position.x, message.pose.pose.position.y = state.x, state.y
     q = message.pose.pose.orientation
-    q.z, q.w = quaternion_from_yaw(state.yaw)
+    q.z, q.w = quaternion_of(state.yaw)
     message.twist.twist.linear.x, message.twist.twist.linear.y = state.v_x, state.v_y
     message.twist.twist.angular.z = state.yaw_rate
     return message
@@ -101,8 +99,6 @@ def vehicle_state(message: Odometry) -> VehicleState:
         ValueError: No frame, a number that is not finite, a quaternion far from unit length, or a
             car that lies on its side; with the field's name, its value and the bound.
     """
-    from ampc_msgs_config.frames import yaw_from_quaternion
-
     require_frame("odom", message.header.frame_id)
     position, q = message.pose.pose.position, message.pose.pose.orientation
     low, high = QUATERNION_LENGTH
@@ -122,7 +118,7 @@ def vehicle_state(message: Odometry) -> VehicleState:
         stamp_ns=nanoseconds(message.header.stamp),
         x=position.x,
         y=position.y,
-        yaw=yaw_from_quaternion(q.x, q.y, q.z, q.w),
+        yaw=yaw_of(q.x, q.y, q.z, q.w),
         v_x=message.twist.twist.linear.x,
         v_y=message.twist.twist.linear.y,
         yaw_rate=message.twist.twist.angular.z,
@@ -141,8 +137,6 @@ def require_frame(topic: str, frame_id: str) -> None:
 
 def path_message(points: Array, stamp_ns: int, frame_id: str = MAP) -> Path:
     """Pack points (n, 2) in a fixed frame [m], each oriented towards the next."""
-    from ampc_msgs_config.frames import quaternion_from_yaw
-
     message = Path()
     message.header.frame_id, message.header.stamp = frame_id, time_message(stamp_ns)
     steps = np.diff(points, axis=0, append=2 * points[-1:] - points[-2:-1])
@@ -150,7 +144,7 @@ def path_message(points: Array, stamp_ns: int, frame_id: str = MAP) -> Path:
         pose = PoseStamped()
         pose.header = message.header
         pose.pose.position.x, pose.pose.position.y = x, y
-        pose.pose.orientation.z, pose.pose.orientation.w = quaternion_from_yaw(math.atan2(dy, dx))
+        pose.pose.orientation.z, pose.pose.orientation.w = quaternion_of(math.atan2(dy, dx))
         message.poses.append(pose)
     return message
 

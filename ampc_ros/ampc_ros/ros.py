@@ -23,6 +23,9 @@ from ampc_ros.supervision.supervisor import Supervisor
 MEMORY_PERIOD = 2.0
 """Time between two memories, after which a recorder that joins a drive knows everything [s]."""
 
+PREDICTION_PERIOD = 0.05
+"""Shortest time between two predicted paths, each of which costs more than a tick [s]."""
+
 
 class Outputs:
     """The publishers of a controller."""
@@ -47,7 +50,7 @@ class Outputs:
         self.configurations = publish(String, f"~/{ros.CONFIGURATION}", ros.LATCHED)
         self.stops = publish(Bool, ros.STOP_REQUEST, ros.LATCHED)
         self.plans = publish(JointTrajectory, ros.STEERING_PLAN, ros.COMMAND)
-        self.planned_ns = 0
+        self.planned_ns = self.predicted_ns = 0
         self.newest: JointState | None = None
         self.published_stop: bool | None = None
 
@@ -93,7 +96,10 @@ class Outputs:
         for publisher, value in zip(self.debug, values, strict=True):
             if publisher.get_subscription_count():
                 publisher.publish(Float64(data=float(value)))
-        if plan.prediction is not None and self.predictions.get_subscription_count():
+        elapsed = abs(command.stamp_ns - self.predicted_ns) / NANOSECONDS
+        is_due = elapsed > 0.99 * PREDICTION_PERIOD and self.predictions.get_subscription_count()
+        if is_due and plan.prediction is not None:
+            self.predicted_ns = command.stamp_ns
             message = ros.path_message(plan.prediction, command.stamp_ns, frame_id)
             self.predictions.publish(message)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ampc_msgs_config import topics
-from ampc_msgs_config.metrics import DEG
+from ampc_msgs_config.metrics import DEG, missed_before
 from ampc_msgs_config.types import LIMITS, MODES, REASONS, RUNGS, Array
 from launch_scripts.reporting.drive import INDEX_RANGE, NO_POINTS, JudgedDrive
 
@@ -311,7 +311,7 @@ def find_events(drive: JudgedDrive, number: int) -> Iterator[Event]:
             ends = np.minimum(ends, len(stamps) - 1)  # a tick lasts until the next one
             spans = np.column_stack((stamps[begins], stamps[ends]))
             yield Event(label, number, spans, int(is_active.sum()))
-    gaps = np.flatnonzero(np.diff(time) > 1.5 * drive.record.period)
+    gaps = np.flatnonzero(missed_before(time, drive.record.period))
     if len(gaps):
         spans = np.column_stack((time[gaps], time[gaps + 1]))
         yield Event("missed ticks", number, spans, int(drive.metrics["missed_ticks"] or 0))

@@ -16,6 +16,7 @@ from ampc_msgs_config.metrics import (
     evaluate_drive,
     lateral_errors,
     measure,
+    missed_ticks,
     record_of,
     reversals,
     ticks,
@@ -89,6 +90,19 @@ def test_numbers_of_a_short_drive_are_those_worked_out_by_hand() -> None:
 def test_missed_ticks_are_the_gaps_of_the_stamps(times: list[float], missed: int) -> None:
     judged = evaluate_drive(drive([0.0] * 3, [0.0] * 3, times), ROAD, 0.0, period=0.1)
     assert judged["missed_ticks"] == missed
+
+
+@pytest.mark.parametrize("period", [0.01, 0.1])
+def test_stamps_that_jitter_or_drift_are_no_missed_ticks_but_a_lower_rate_is(period: float) -> None:
+    rng, count = np.random.default_rng(2), 2000
+    even = np.arange(count) * period
+    assert missed_ticks(np.cumsum(np.tile([0.5, 1.5, 1.0], 300) * period), period) == 0
+    assert missed_ticks(even * 1.01 + rng.uniform(-0.2, 0.2, count) * period, period) == 0
+    slow = np.asarray(even * 1.5, float)
+    assert missed_ticks(slow, period) == pytest.approx(0.5 * count, rel=0.05)
+    lost = np.delete(even, np.arange(10, count, 10))
+    lost += rng.uniform(-0.1, 0.1, len(lost)) * period
+    assert missed_ticks(lost, period) == 199
 
 
 def test_time_of_ticks_counts_from_the_first() -> None:

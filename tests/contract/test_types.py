@@ -13,6 +13,7 @@ from ampc_msgs_config.frames import (
     wrap_angle,
     yaw_from_quaternion,
 )
+from ampc_msgs_config.quaternions import quaternion_of, yaw_of
 from ampc_msgs_config.types import VehicleState
 
 many = settings(max_examples=200, deadline=None, derandomize=True)
@@ -50,7 +51,8 @@ def test_moving_the_point_turns_with_the_car_and_keeps_the_stamp(
 def test_received_heading_has_been_a_quaternion_and_nothing_else_changes(yaw: float) -> None:
     state = VehicleState(STAMP_NS, 3.0, -2.0, yaw, 9.0, 0.5, 0.3)
     z, w = math.sin(yaw / 2), math.cos(yaw / 2)
-    assert quaternion_from_yaw(yaw) == (z, w)
+    assert quaternion_from_yaw(yaw) == quaternion_of(yaw) == (z, w)
+    assert yaw_from_quaternion(0.0, 0.0, z, w) == yaw_of(0.0, 0.0, z, w)  # bit for bit
     assert as_received(state) == state._replace(yaw=yaw_from_quaternion(0.0, 0.0, z, w))
     assert as_received(state).yaw == pytest.approx(yaw, abs=1e-15)
     assert isinstance(as_received(state).stamp_ns, int)

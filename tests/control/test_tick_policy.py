@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
-from ampc_ros.supervision.tick_policy import Action, TickPolicy
+from ampc_ros.supervision.tick_policy import INTERVALS, LONGEST_WAIT, Action, TickPolicy
 from tests.supervised import made_for
 
 MS = 1_000_000
@@ -177,6 +177,89 @@ def test_after_one_lost_state_the_next_ones_are_waited_for_again() -> None:
     assert policy.on_input() is Action.TICK
 
 
+TICKS = 2000
+
+
+def drive(
+    drift: float, phase: float, jitter: float, rate: float = 1.0, lost: int = 10 * TICKS
+) -> tuple[TickPolicy, list[int], list[int]]:
+    """Drive for 20 s with states from a car with another clock.
+
+    Args:
+        drift: Of the period of the states.
+        phase: Of the states against the timer [periods].
+        jitter: Standard deviation of the delay of messages [s].
+        rate: States per tick.
+        lost: Every such state does not arrive.
+
+    Returns:
+        Policy, times of the ticks [ns], age of the state at each tick [ns].
+    """
+    rng, stub = np.random.default_rng(3), Stub(3 * NANOSECONDS)
+    policy, ticks, ages = policy_of(stub), list[int](), list[int]()
+    due = NANOSECONDS + np.arange(TICKS) * PERIOD_NS
+    called = due + rng.integers(0, MS // 2, TICKS)
+    numbers = np.arange(1, int((1.1 - min(drift, 0.0)) * rate * TICKS))
+    sent = (NANOSECONDS + (numbers * (1.0 + drift) / rate + phase) * PERIOD_NS).astype(int)
+    delays = (np.abs(rng.normal(0.0, jitter, len(sent))) * NANOSECONDS).astype(int)
+    received = np.maximum.accumulate(sent + delays)
+    events = [(*each, True) for each in zip(received.tolist(), sent.tolist(), strict=True)]
+    del events[lost - 1 :: lost]
+    events += [(*each, False) for each in zip(called.tolist(), due.tolist(), strict=True)]
+    for now_ns, of_ns, is_state in sorted(each for each in events if each[0] <= called[-1]):
+        if is_state:
+            policy.take_state(state(of_ns), now_ns)
+            action = policy.on_input()
+        else:
+            action = policy.on_timer(now_ns, PERIOD_NS - (now_ns - of_ns))
+        if action is Action.TICK and policy.tick(now_ns):
+            ticks.append(now_ns)
+            ages.append(now_ns - stub.newest_ns)
+    return policy, ticks, ages
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.02, 0.5, 0.98])
+@pytest.mark.parametrize("drift", [0.0, 1e-4, 1e-2, -1e-2])
+@pytest.mark.parametrize("jitter", [1e-4, 1e-3])
+def test_no_tick_is_missed_and_no_state_waits_at_any_phase_and_drift(
+    phase: float, drift: float, jitter: float
+) -> None:
+    policy, ticks, ages = drive(drift, phase, jitter)
+    assert policy.missed == 0
+    assert max(ages[1:]) < MS // 2 + 5.0 * jitter * NANOSECONDS
+    assert max(np.diff(ticks[2:])) < LONGEST_WAIT * PERIOD_NS
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.02, 0.5, 0.98])
+def test_a_lost_state_costs_one_tick_at_most(phase: float) -> None:
+    policy, ticks, ages = drive(0.0, phase, 1e-4, lost=100)
+    assert policy.missed <= TICKS / 100
+    assert max(ages) <= 3 * PERIOD_NS
+    assert max(np.diff(ticks[2:])) <= (1.0 + LONGEST_WAIT) * PERIOD_NS
+
+
+@pytest.mark.parametrize(("rate", "drift"), [(2.0, 0.0), (5.0, 1e-3), (0.5, 0.0)])
+def test_states_at_another_rate_leave_the_ticks_to_the_timer(rate: float, drift: float) -> None:
+    policy, ticks, _ = drive(drift, 0.3, 1e-4, rate)
+    assert not policy.is_in_step
+    assert len(ticks) == pytest.approx(TICKS, abs=5)
+    assert max(np.diff(ticks[5:])) < 1.1 * PERIOD_NS
+
+
+@pytest.mark.parametrize("silence", [3, 5, 7, 9])
+def test_fast_states_after_a_silence_are_not_answered_one_by_one(silence: int) -> None:
+    stub, policy = answered()
+    begin_ns = silence * PERIOD_NS
+    policy.take_state(state(begin_ns), begin_ns)
+    policy.on_input()
+    policy.tick(begin_ns)
+    for number in range(1, 20):
+        now_ns = begin_ns + number * PERIOD_NS // 5
+        policy.take_state(state(now_ns), now_ns)
+        assert policy.on_input() is Action.WAIT
+    assert len(stub.ticks) == 2
+
+
 def test_a_restart_forgets_the_command_and_the_deferred_tick() -> None:
     _, policy = answered()
     policy.take_state(state(50), 50)
@@ -225,13 +308,22 @@ def test_ticks_are_those_of_the_rules_of_the_node(
     policy = policy_of(stub)
     answered_ns, is_deferred, missed, now_ns = None, False, 0, 0
     continued = {"this": False, "last": False}
+    stamps: list[int] = []
+    ticked_ns = 0
+
+    def in_step() -> bool:
+        newest = stamps[-INTERVALS - 1 :]
+        if len(newest) > 1 and newest[-1] - newest[-2] < 0.4 * PERIOD_NS:
+            return False
+        span = (newest[-1] - newest[0]) / PERIOD_NS if newest else 0.0
+        return 0.9 * (len(newest) - 1) <= span <= 1.5 * (len(newest) - 1) and len(newest) > 1
 
     def step() -> None:
-        nonlocal answered_ns, is_deferred
+        nonlocal answered_ns, is_deferred, ticked_ns
         if model.is_ready:
-            is_deferred = False
+            is_deferred, ticked_ns = False, now_ns
             if answered_ns != model.newest_ns:
-                continued.update(last=continued["this"], this=False)
+                continued.update(last=continued["this"] and not in_step(), this=False)
             model.tick(now_ns)
             answered_ns = model.newest_ns
 
@@ -245,7 +337,9 @@ def test_ticks_are_those_of_the_rules_of_the_node(
                 policy.tick(now_ns)
             if answered_ns != model.newest_ns or model.is_state_late(now_ns):
                 step()
-            elif is_deferred or any(continued.values()):
+            elif (
+                is_deferred and not (in_step() and 0 < now_ns - ticked_ns <= 1.5 * PERIOD_NS)
+            ) or any(continued.values()):
                 missed += 1
                 if model.can_predict(now_ns):
                     continued["this"] = True
@@ -266,7 +360,10 @@ def test_ticks_are_those_of_the_rules_of_the_node(
             if model.take_state(state(stamp_ns), now_ns):
                 answered_ns, is_deferred = None, False
                 continued.update(last=False, this=False)
-            if is_deferred:
+                stamps.clear()
+            if stamp_ns not in stamps[-INTERVALS - 1 :]:
+                stamps.append(stamp_ns)
+            if is_deferred or (in_step() and answered_ns != model.newest_ns):
                 step()
         assert stub.ticks == model.ticks
     assert policy.missed == missed

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Float64
 from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros
-from ampc_msgs_config.nodes.derived_topics import DerivedTopics
+from ampc_msgs_config.nodes.derived_topics import Derived, DerivedTopics
 from ampc_msgs_config.nodes.other_cars import is_of_another_car
 from ampc_msgs_config.nodes.scene import CAR_COLOUR, STOP_COLOUR
 from ampc_msgs_config.types import NANOSECONDS, VehicleState
@@ -69,6 +69,25 @@ def test_the_static_transform_comes_once_and_again_in_a_recording_that_begins_an
 def test_what_is_recorded_is_not_derived() -> None:
     assert names(derived_topics(transforms=False), odometry(1)) == [ros.MARKERS]
     assert names(derived_topics(pictures=False), odometry(1)) == [ros.TF_STATIC, ros.TF]
+
+
+def test_the_quantities_of_a_tick_are_its_debug_topics() -> None:
+    values = [0.5 * i for i in range(len(ros.TICK_QUANTITIES))]
+    tick = bytes(serialize_message(ros.tick_message(NANOSECONDS, values)))
+    derived = list(derived_topics().of(ros.TICK, tick))
+    assert {each.topic: deserialize_message(each.data, Float64).data for each in derived} == {
+        topic: values[ros.TICK_QUANTITIES.index(name)]
+        for topic, name in zip(ros.QUANTITIES, ros.DEBUG_QUANTITIES, strict=True)
+    }
+    assert derived[0].data == bytes(serialize_message(Float64(data=derived_value(derived[0]))))
+    subscribed = derived_topics(recorded=ros.QUANTITIES[1:])
+    assert [each.topic for each in subscribed.of(ros.TICK, tick)] == [ros.QUANTITIES[0]]
+    assert list(derived_topics().of(ros.TICK, tick[:20])) == []
+
+
+def derived_value(message: Derived) -> float:
+    """Return the number of a message."""
+    return float(deserialize_message(message.data, Float64).data)
 
 
 def test_the_measured_angle_turns_the_front_wheels_and_the_commanded_one_without_it() -> None:

@@ -21,6 +21,7 @@ from ampc_msgs_config.nodes import base_node
 from ampc_msgs_config.nodes.base_node import BaseNode
 from ampc_msgs_config.nodes.failed_callbacks import LONGEST_TEXT, describe_error, shortened
 from ampc_msgs_config.nodes.marker_node import MarkerNode
+from ampc_msgs_config.nodes.message_loop import MessageLoop
 from ampc_ros.nodes.controller_node import ControllerNode
 from ampc_ros.nodes.planner_node import PlannerNode
 from launch_scripts.nodes.injector_node import InjectorNode
@@ -48,14 +49,14 @@ class Other(Node):
         super().__init__("other")
         self.executor_of_other = SingleThreadedExecutor()
         self.executor_of_other.add_node(self)
-        self.executor_of_tested = SingleThreadedExecutor()
+        self.loop: MessageLoop | None = None
 
     def until(self, node: BaseNode, condition: Callable[[], bool]) -> None:
         """Run both nodes, the tested one as its process does, until a condition holds."""
-        self.executor_of_tested.add_node(node)
+        loop = self.loop = self.loop or MessageLoop(node, node.failed)
 
         def holds() -> bool:
-            node.failed.run_next(self.executor_of_tested, timeout=0.01)
+            loop.run_next(timeout=0.01)
             self.executor_of_other.spin_once(timeout_sec=0.01)
             return condition()
 
@@ -137,16 +138,17 @@ def test_a_message_that_cannot_be_decoded_does_not_silence_its_topic() -> None:
         node.create_subscription(String, "text", partial(store_data, texts), ros.RELIABLE)
         publisher = other.create_publisher(String, "text", ros.RELIABLE)
         other.until(node, lambda: bool(publisher.get_subscription_count()))
-        executor: Any = other.executor_of_tested
+        assert other.loop
+        executor: Any = other.loop.executor
         take = executor._take_subscription
         executor._take_subscription = lambda _: fail(RuntimeError("cannot be decoded"))
         publisher.publish(String(data="broken"))
         while not node.failed.count:
-            node.failed.run_next(executor, timeout=0.01)
+            other.loop.run_next(timeout=0.01)
         executor._take_subscription = take
         publisher.publish(String(data="sound"))
         while "sound" not in texts:
-            node.failed.run_next(executor, timeout=0.01)
+            other.loop.run_next(timeout=0.01)
         node.destroy_node()
         other.destroy_node()
 

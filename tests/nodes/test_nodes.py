@@ -262,6 +262,34 @@ def test_debug_topics_are_published_where_somebody_listens() -> None:
     assert listening == [f"/{topic}"]
 
 
+def test_predicted_paths_are_published_at_each_slow_tick_and_20_times_a_second_at_fast_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with ros_context(controller="paper", use_sim_time="true", static_path="true") as executor:
+        node = ControllerNode()
+        add(executor, node)
+        stamps: list[int] = []
+        predictions = node.outputs.predictions
+        monkeypatch.setattr(predictions, "get_subscription_count", lambda: 1)
+        monkeypatch.setattr(
+            predictions, "publish", lambda m: stamps.append(ros.nanoseconds(m.header.stamp))
+        )
+        node.on_path(path())
+        node.initial.is_pending = False
+        node.on_odometry(odometry(TICK_NS))
+        node.step()
+        record = node.policy.record
+        assert record
+        plan = record.command.plan._replace(prediction=np.zeros((2, 2)))
+        fast = [NANOSECONDS + number * NANOSECONDS // 100 for number in range(11)]
+        slow = [2 * NANOSECONDS + number * NANOSECONDS // 10 for number in range(4)]
+        for stamp_ns in (*fast, *slow):
+            command = record.command._replace(stamp_ns=stamp_ns, plan=plan)
+            now, steering = record._replace(command=command), node.supervisor.config.steering
+            node.outputs.publish_tick(now, (0.0, 0.0), (0, 0, 0), steering)
+    assert stamps[-7:] == [*fast[::5], *slow]
+
+
 def test_the_timer_follows_simulated_time_and_time_going_backwards_starts_anew() -> None:
     with ros_context(controller="paper", use_sim_time="true", static_path="true") as executor:
         node = ControllerNode()

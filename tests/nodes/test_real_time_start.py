@@ -86,6 +86,22 @@ def test_no_state_is_rejected_however_long_the_car_waits_and_whatever_gets_lost(
         assert not any(result.reset for result in results)
 
 
+@pytest.mark.parametrize("after", [0.0, 600.0])
+def test_a_timer_that_jitters_neither_adds_nor_leaves_out_a_step(
+    started: Started, after: float
+) -> None:
+    started.answer(12.0)
+    started.tick()
+    started.tick(0.02 + after)
+    started.answer(12.0)
+    begin, rng = started.now, np.random.default_rng(1)
+    for tick in range(1, 200):
+        started.tick(begin + 0.02 * tick + float(rng.uniform(-1e-3, 1e-3)) - started.now)
+    steps = np.diff([state.stamp_ns for state in started.states[-199:]])
+    assert set(steps.tolist()) == {PERIOD_NS}
+    assert 1e-3 < started.now - started.states[-1].stamp_ns / NANOSECONDS < 4e-3
+
+
 def test_a_pose_that_moves_without_its_twist_is_still_rejected() -> None:
     check = StateFilter()
     for tick in range(1, 101):  # a wheel sensor that fails: the car moves, the twist does not

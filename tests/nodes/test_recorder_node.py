@@ -35,6 +35,7 @@ from std_msgs.msg import String
 
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes import recorder_node
+from ampc_msgs_config.nodes.message_loop import take_message
 from ampc_msgs_config.nodes.recorder_node import (
     CONTRACT,
     EVERYTHING,
@@ -42,7 +43,6 @@ from ampc_msgs_config.nodes.recorder_node import (
     TRANSFORMS,
     Recorder,
     plain_qos,
-    take_serialized,
 )
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.types import NANOSECONDS
@@ -103,7 +103,7 @@ def test_a_message_received_during_a_look_at_the_queues_keeps_its_place(
             receive(full(ros.ODOM), 9)
         return taken
 
-    monkeypatch.setattr(recorder_node, "take_serialized", take)
+    monkeypatch.setattr(recorder_node, "take_message", take)
     monkeypatch.setattr(recorder_node, "HOLD", 0.0)
     receive(ros.CLOCK, 7)
     with ros_context(output=tmp_path / "bag", use_sim_time=True) as executor:
@@ -124,22 +124,22 @@ def test_messages_without_a_clock_are_kept_until_the_end() -> None:
     assert [time_ns for _, time_ns in arrivals.take_all_before(3)] == [0]
 
 
-def test_take_serialized_returns_waiting_messages_then_none() -> None:
+def test_take_message_returns_waiting_messages_then_none() -> None:
     with ros_context() as executor:
         node = rclpy.create_node("reader")
         add(executor, node)
         publisher = node.create_publisher(String, "words", EVERYTHING)
         subscription = node.create_subscription(String, "words", print, EVERYTHING, raw=True)
         wait_for(lambda: publisher.get_subscription_count() > 0)
-        assert take_serialized(subscription) is None
+        assert take_message(subscription) is None
         publisher.publish(String(data="first"))
         taken = None
         while taken is None:
-            taken = take_serialized(subscription)
+            taken = take_message(subscription)
         data, info = taken
         assert deserialize_message(data, String).data == "first"
         assert {"source_timestamp", "received_timestamp", "publication_sequence_number"} <= {*info}
-        assert take_serialized(subscription) is None
+        assert take_message(subscription) is None
 
 
 def test_plain_qos_is_what_rosbag2_writes() -> None:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 from ampc_msgs_config import ros
@@ -24,7 +25,8 @@ from tests.layouts import split_path, values_at
 
 FOLDER = Path(__file__).resolve().parents[2] / "ampc_ros" / "viewers"
 JOINTS = {ros.STEERING_COMMAND: (ros.STEERING_JOINT,), ros.STEERING_STATE: (ros.STEERING_JOINT,)}
-TYPES: dict[str, Any] = {**CONTRACT, ros.MARKERS: MarkerArray}
+DERIVED = {ros.MARKERS: MarkerArray, **dict.fromkeys(ros.QUANTITIES, Float64)}
+TYPES: dict[str, Any] = {**CONTRACT, **DERIVED}
 TOPICS = {f"/{name.lstrip('/')}": kind for name, kind in TYPES.items()}
 
 RVIZ_CLASSES = {

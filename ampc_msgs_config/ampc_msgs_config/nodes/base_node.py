@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -18,7 +19,7 @@ from rcl_interfaces.msg import (
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -28,8 +29,9 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from ampc_msgs_config import ros, topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, describe_error, shortened
+from ampc_msgs_config.nodes.message_loop import MessageLoop
 from ampc_msgs_config.signals import cancel_interruption, handle_ending_signals, interrupt
-from ampc_msgs_config.types import OK, WARN, VehicleState
+from ampc_msgs_config.types import OK, WARN
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """The executor would poll each event callback in every round, which costs more than a tick."""
@@ -44,6 +46,8 @@ class BaseNode(Node):
 
     has_compiled_code = True
     """False: the process of this node never imports numba."""
+    needs_events = False
+    """Whether the node reacts to QoS events, which then cost processor time with each message."""
 
     def __init__(self, name: str, *, owns_time: bool = False) -> None:
         """Create the node.
@@ -53,8 +57,6 @@ class BaseNode(Node):
             owns_time: In lock-step this node publishes the clock that all others follow.
         """
         super().__init__(name)
-        if self.has_compiled_code:
-            compile_conversion()
         self.lock_step: bool = declare(
             self, "lock_step", False, "simulated time advances only when every state is answered"
         )
@@ -84,7 +86,9 @@ class BaseNode(Node):
         """Return the topics of this node that the awaited recorder has not subscribed to."""
         if not self.wait_for_recorder:
             return []
-        published = {each.topic_name for each in self.publishers} - {topics.PARAMETER_EVENTS}
+        derived = map(self.resolve_topic_name, topics.QUANTITIES)  # by the recorder
+        published = {each.topic_name for each in self.publishers}
+        published -= {topics.PARAMETER_EVENTS, *derived}
         missing = []
         for topic in sorted(published):
             subscribers = self.get_subscriptions_info_by_topic(topic)
@@ -139,12 +143,6 @@ class BaseNode(Node):
         message = DiagnosticArray(status=[status])
         message.header.stamp = ros.time_message(stamp_ns)
         self.diagnostics.publish(message)
-
-
-def compile_conversion() -> None:
-    """Compile the conversion of odometry."""
-    at_rest = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    ros.vehicle_state(ros.odometry_message(at_rest))
 
 
 def log_compilation_of(
@@ -254,13 +252,13 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     Raises:
         ValueError: A callback raised it in lock-step.
     """
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    loop = MessageLoop(node, node.failed)
+    run_next = partial(node.failed.run_next, loop.executor) if node.needs_events else loop.run_next
     gc.collect()
     gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
-            node.failed.run_next(executor, timeout=0.1)
+            run_next(timeout=0.1)
         return 0
     except ExternalShutdownException:
         return 0

@@ -1,7 +1,8 @@
-"""Topics that a recorder derives from the odometry of a car: its transforms and its picture."""
+"""Topics that a recorder derives from others: transforms, picture, and quantities of a tick."""
 
 import math
-from collections.abc import Iterator
+import struct
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 from ampc_msgs_config import ros
 from ampc_msgs_config.nodes.marker_messages import load_outline, marker
 from ampc_msgs_config.nodes.scene import View, shapes
+from ampc_msgs_config.nodes.serialized_path import LITTLE_ENDIAN
 from ampc_msgs_config.recording.message_types import TOPIC_TYPES
 from ampc_msgs_config.recording.transforms import (
     TF_MESSAGE,
@@ -31,10 +33,14 @@ ANGLES = (ros.STEERING_STATE, ros.STEERING_COMMAND)
 """Topics of the road-wheel angle; the measured one comes first."""
 PICTURED = (*ANGLES, ros.STOP_REQUEST)
 """Topics besides `odom` that change the picture."""
+DEBUG_TOPICS = dict(zip(ros.DEBUG_QUANTITIES, ros.QUANTITIES, strict=True))
+"""Debug topic of the controller by its quantity."""
+FLOAT64 = struct.Struct("<4sd")
+"""A serialised std_msgs/Float64: header of plain CDR, number."""
 
 
 class Derived(NamedTuple):
-    """A message that was not received, but derived from odometry."""
+    """A message that was not received, but derived from another one."""
 
     topic: str
     type_name: str
@@ -43,14 +49,22 @@ class Derived(NamedTuple):
 
 
 class DerivedTopics:
-    """Transforms of every odometry, and pictures of the car at most 5 times a second.
+    """Transforms of every odometry, pictures at most 5 times a second, quantities of every tick.
 
     The picture has no paths: viewers draw them from their own topics. It is locked to the frame of
-    the car, so that `/tf` moves it at the full rate of the odometry.
+    the car, so that `/tf` moves it at the full rate of the odometry. The controller publishes its
+    debug topics only where somebody listens; twenty of them at each tick cost more than the tick.
     """
 
     def __init__(
-        self, vehicle: str, base_link_to_cg: float, prefix: str, *, transforms: bool, pictures: bool
+        self,
+        vehicle: str,
+        base_link_to_cg: float,
+        prefix: str,
+        *,
+        transforms: bool,
+        pictures: bool,
+        recorded: Collection[str] = (),
     ) -> None:
         """Load the car.
 
@@ -60,12 +74,14 @@ class DerivedTopics:
             prefix: Prefix of the frames of the car.
             transforms: Whether transforms are derived.
             pictures: Whether pictures are derived.
+            recorded: Debug topics that are not derived.
 
         Raises:
             ValueError: The vehicle is missing or wrong.
         """
         self.car, steering = load_outline(vehicle, base_link_to_cg)
         self.angle_of = partial(ros.steering_angle, steering=steering)
+        self.debug = {key: name for key, name in DEBUG_TOPICS.items() if name not in recorded}
         self.prefix, self.has_transforms, self.has_pictures = prefix, transforms, pictures
         self.begin()
 
@@ -84,8 +100,22 @@ class DerivedTopics:
         """
         if name in PICTURED:
             self.newest[name] = data
-        if name != ros.ODOM:
-            return
+        if name == ros.TICK:
+            yield from self.quantities(data)
+        elif name == ros.ODOM:
+            yield from self.of_odometry(data)
+
+    def quantities(self, tick: bytes) -> Iterator[Derived]:
+        """Return the debug topics of a tick; none if the message is invalid."""
+        with suppress(ValueError):
+            message: JointState = ros.decode(tick, JointState)
+            for key, value in zip(message.name, message.position, strict=False):
+                if topic := self.debug.get(key):
+                    data = FLOAT64.pack(LITTLE_ENDIAN, value)
+                    yield Derived(topic, TOPIC_TYPES[topic], data, ros.RELIABLE)
+
+    def of_odometry(self, data: bytes) -> Iterator[Derived]:
+        """Return transforms and picture."""
         if self.has_transforms and (pose := pose_transform(data, self.prefix)):
             if self.is_first:
                 static = footprint_transform(data, self.prefix)

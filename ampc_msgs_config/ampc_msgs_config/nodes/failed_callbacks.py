@@ -44,8 +44,8 @@ class FailedCallbacks:
         """Newest cause that was not reported before, in one sentence."""
         self._causes: set[tuple[str, str]] = set()
 
-    def run_next(self, executor: Executor, timeout: float) -> None:
-        """Run the next callback, or wait for one.
+    def run_next(self, executor: Executor, timeout: float) -> bool:
+        """Run the next callback, or wait for one; return whether there was one.
 
         Args:
             executor: Executor with the node.
@@ -56,8 +56,21 @@ class FailedCallbacks:
             Exception: The callback raised it, see `ends_stream`.
         """
         entity, error = run_callback(executor, timeout)
-        if error is None:
-            return
+        if error is not None:
+            self.handle(entity, error)
+        return entity is not None
+
+    def handle(self, entity: Any, error: Exception) -> None:
+        """Store a failure of a callback, or raise it.
+
+        Args:
+            entity: Owner of the callback; None: the executor itself has failed.
+            error: The failure.
+
+        Raises:
+            ExternalShutdownException: The context has been shut down.
+            Exception: The callback raised it, see `ends_stream`.
+        """
         if isinstance(error, ExternalShutdownException):
             raise error
         if self.ends_stream and not isinstance(entity, Service | Client):

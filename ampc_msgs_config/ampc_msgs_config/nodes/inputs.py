@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from ampc_msgs_config.nodes.message_loop import PolledGroup, take_message
 from ampc_msgs_config.nodes.qos import profile_text
 from ampc_msgs_config.nodes.waiting import SILENCE_OF_STOPPED, is_incompatible, why_silent
 
@@ -87,6 +88,12 @@ class Input:
         self.info, self.arrived_at = info, time.monotonic()
         self.callback(message)
 
+    def read(self) -> None:
+        """Pass on the messages that have arrived."""
+        for each in self.subscriptions:
+            while taken := take_message(each):
+                self.on_message(*taken)
+
     def on_incompatible(self, index: int, _: Any) -> None:
         """Subscribe with the next profile, or report that there is none."""
         if index + 1 == len(self.profiles):
@@ -152,6 +159,7 @@ class Inputs:
         callback: Callable[[Any], None],
         *profiles: QoSProfile,
         raw: bool = False,
+        polled: bool = False,
         events: Mapping[str, Callable[[Any], None]] = MappingProxyType({}),
     ) -> None:
         """Subscribe to a topic.
@@ -162,9 +170,10 @@ class Inputs:
             callback: Receives each message once.
             profiles: QoS in the order of preference, see `Input`.
             raw: The callback receives the serialised message.
+            polled: Messages end no wait; the node reads them when it needs them, see `read`.
             events: Callbacks of QoS events of the first profile, by name.
         """
-        options = {"callback_group": self.group, "raw": raw}
+        options = {"callback_group": PolledGroup() if polled else self.group, "raw": raw}
         self.topics[topic] = Input(
             self.node, message_type, topic, callback, profiles, options, events
         )

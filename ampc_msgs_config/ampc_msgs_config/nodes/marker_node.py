@@ -43,6 +43,8 @@ viewer uses that: a drive in lock-step runs up to 20 times as fast as the wall c
 class MarkerNode(BaseNode):
     """Keeps the newest message of each input, and unpacks it before drawing."""
 
+    has_compiled_code = False
+
     def __init__(self) -> None:
         """Load the car, without subscriptions yet."""
         super().__init__("markers")

@@ -31,6 +31,7 @@ from ampc_msgs_config import topics
 from ampc_msgs_config.nodes import qos
 from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, shortened
 from ampc_msgs_config.nodes.live_transforms import has_other_broadcaster
+from ampc_msgs_config.nodes.message_loop import take_message
 from ampc_msgs_config.nodes.other_cars import is_of_another_car
 from ampc_msgs_config.recording.arrivals import Arrival, Arrivals
 from ampc_msgs_config.recording.bag_writer import Recording
@@ -68,9 +69,12 @@ LATCHED_EVERYTHING = QoSProfile(
 BEST_EFFORT = QoSProfile(**KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The same for publishers that offer less, such as a sensor of a car."""
 CONTRACT: dict[str, Any] = {
-    name: message_class(type_) for name, type_ in TOPIC_TYPES.items() if name != topics.MARKERS
+    name: message_class(type_)
+    for name, type_ in TOPIC_TYPES.items()
+    if name not in (topics.MARKERS, *topics.QUANTITIES)
 }
-"""Without markers: they would be three quarters of a bag. Thinned ones are derived instead."""
+"""Without topics that are derived instead: markers would be three quarters of a bag, and the debug
+topics have the quantities of `controller/tick`."""
 LATCHED_TOPICS = {
     topics.REFERENCE_PATH,
     topics.STOP_REQUEST,
@@ -148,7 +152,10 @@ class Recorder(Node):
         full = partial(self.resolve_topic_name, only_expand=True)
         recorded = set(map(full, further))
         transforms, pictures = (full(n) not in recorded for n in (topics.TF, topics.MARKERS))
-        return DerivedTopics(vehicle, to_cg, prefix, transforms=transforms, pictures=pictures)
+        debug = [name for name in topics.QUANTITIES if full(name) in recorded]
+        return DerivedTopics(
+            vehicle, to_cg, prefix, transforms=transforms, pictures=pictures, recorded=debug
+        )
 
     def parameter(self, name: str, default: Any, description: str) -> Any:
         """Declare a parameter and return its value."""
@@ -181,7 +188,7 @@ class Recorder(Node):
                 self.arrivals.waiting.append(arrival)
                 if arrival.publish_ns < self.end_ns:
                     self.last_arrival = time.monotonic()
-            taken = take_serialized(self.inputs[topic])
+            taken = take_message(self.inputs[topic])
 
     def take_arrived(self) -> None:
         """Queue all messages that have arrived.
@@ -191,7 +198,7 @@ class Recorder(Node):
         """
         begin_ns = time.time_ns()
         for topic, subscription in list(self.inputs.items()):
-            if taken := take_serialized(subscription):
+            if taken := take_message(subscription):
                 self.on_message(topic, *taken)
         self.taken_ns = begin_ns
 
@@ -297,17 +304,6 @@ def parse_topics(items: list[str]) -> dict[str, Any]:
     """
     pairs = [item.partition(":") for item in items if item]
     return {name: message_class(type_name) for name, _, type_name in pairs}
-
-
-def take_serialized(subscription: Subscription) -> tuple[bytes, dict[str, int]] | None:
-    """Return the next serialised message of a subscription with its info, or None.
-
-    Note:
-        `handle.take_message` is a private interface of rclpy.
-    """
-    taken: tuple[bytes, dict[str, int]] | None
-    taken = subscription.handle.take_message(subscription.msg_type, True)
-    return taken
 
 
 def plain_qos(profile: QoSProfile) -> interfaces.Qos:

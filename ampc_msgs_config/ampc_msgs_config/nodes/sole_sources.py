@@ -19,6 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time_source import USE_SIM_TIME_NAME
 
+from ampc_msgs_config.nodes.message_loop import PolledGroup
 from ampc_msgs_config.topics import CLOCK
 from ampc_msgs_config.types import NANOSECONDS
 
@@ -26,8 +27,8 @@ LIST_PERIOD = 0.5
 """Wall time between two looks at the list of publishers [s]."""
 FALLS, FALL_WINDOW = 2, 1.0
 """Number of falls of the sequence number within this time from which two publishers are alive."""
-EACH = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Every message counts: of two that arrive together, the newest would hide the other one."""
+EACH = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Every message counts: of those that arrive together, the newest would hide the other ones."""
 ANONYMOUS = "_"
 """Begin of the names of publishers whose node is not known (yet)."""
 CONFLICT_EXIT = 1
@@ -67,7 +68,9 @@ class SoleSources:
         for topic, kind in heard.items():
             on_message: Callable[..., None] = partial(self.on_message, topic)
             self.subscriptions.append(
-                node.create_subscription(kind, topic, on_message, EACH, raw=True)
+                node.create_subscription(
+                    kind, topic, on_message, EACH, raw=True, callback_group=PolledGroup()
+                )
             )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.timer = node.create_timer(LIST_PERIOD, self.look_at_lists, clock=steady)

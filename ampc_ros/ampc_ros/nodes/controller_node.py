@@ -118,7 +118,7 @@ class ControllerNode(ConfiguredNode):
         inputs.add(PathMessage, ros.REFERENCE_PATH, on_path, *ros.ANY_PUBLISHER, raw=raw)
         inputs.add(Odometry, ros.ODOM, self.on_odometry, qos)
         if not self.lock_step:  # there, the order of odom and steering_state is undefined
-            inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST)
+            inputs.add(JointState, ros.STEERING_STATE, self.on_steering, ros.NEWEST, polled=True)
             self.initial.listen(self.supervisor.config.steering)
             self.while_configured.callback(self.initial.close)
         listed = [ros.STEERING_COMMAND, ros.REFERENCE_PATH]
@@ -344,6 +344,8 @@ class ControllerNode(ConfiguredNode):
         """
         if not self.is_active or not self.supervisor.is_ready or self.unrecorded():
             return
+        if not self.lock_step:
+            self.inputs.topics[ros.STEERING_STATE].read()
         if self.initial.is_pending and not self.has_started():
             return
         start = time.perf_counter()

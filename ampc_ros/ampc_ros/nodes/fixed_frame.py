@@ -6,7 +6,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.time import Time
 
-from ampc_msgs_config.frames import yaw_from_quaternion
+from ampc_msgs_config.quaternions import yaw_of
 from ampc_ros.nodes.received_path import Shift
 
 FRAME = "name of a frame; empty: that of the first odom"
@@ -73,4 +73,4 @@ class FixedFrame:
         except tf2_ros.TransformException as error:
             raise ValueError(f"{problem}, and there is no transform: {error}") from error
         at, q = transform.translation, transform.rotation
-        return Shift(at.x, at.y, yaw_from_quaternion(q.x, q.y, q.z, q.w))
+        return Shift(at.x, at.y, yaw_of(q.x, q.y, q.z, q.w))

@@ -60,6 +60,7 @@ class GateNode(BaseNode):
     """Receives what the car is to do, and publishes what it does."""
 
     has_compiled_code = False
+    needs_events = True
 
     def __init__(self) -> None:
         """Read vehicle, guard and settings; publish nothing before all inputs are complete."""

@@ -1,9 +1,20 @@
 """When a controller ticks: on a timer in real time, or once per state in lock-step; without ROS."""
 
+from collections import deque
 from enum import Enum
 
 from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
+
+IN_STEP = (0.9, 1.5)
+"""Mean time between states that come at the rate of the controller [periods]; some may be lost."""
+LONGEST_WAIT = 1.5
+"""Age of the last command up to which such a state may be late [periods]. It may come just before
+and just after the calls of the timer in turn."""
+CLOSEST_STATES = 0.4
+"""Shortest time between two such states [periods]; faster states after a silence come closer."""
+INTERVALS = 8
+"""Number of the times between states that are averaged."""
 
 
 class Action(Enum):
@@ -18,12 +29,15 @@ class Action(Enum):
 class TickPolicy:
     """Decides when a supervisor ticks, and counts missed ticks.
 
-    In real time a state is answered by the next call of the timer. A tick without a new state is
-    deferred: the next state is answered at once, so that car and controller with the same rate need
-    not be in phase. A tick is missed where that state does not come before the next tick either, or
-    where the timer left the tick out. The last state is then continued by the model, where it can
-    be predicted; with odometry slower than the controller, all ticks between two states are. A
-    state that is late is answered without a new one.
+    In real time, states at the rate of the controller are answered when they arrive, whatever their
+    phase and the drift of their clock. Other states are answered by the next call of the timer.
+
+    A tick without a new state is deferred: the next state is answered at once. A tick is missed
+    where that state does not come before the next tick either, or where the timer left the tick
+    out. At the rate of the controller, the last command must be older than LONGEST_WAIT, too. The
+    last state is then continued by the model, where it can be predicted; with odometry slower than
+    the controller, all ticks between two states are. A state that is late is answered without a new
+    one.
 
     In lock-step every state is answered once; the same state again repeats the same command.
     """
@@ -42,6 +56,8 @@ class TickPolicy:
         self._period_ns = round(supervisor.period * NANOSECONDS)
         self._is_deferred = self._is_continued = self._is_slow = False
         self._due_ns: int | None = None
+        self._ticked_ns = 0
+        self._stamps: deque[int] = deque(maxlen=INTERVALS + 1)
 
     def restart_timer(self) -> None:
         """Start a new timer: no tick is deferred, none was left out."""
@@ -53,6 +69,18 @@ class TickPolicy:
         """Whether the newest state has its command."""
         answered_ns = self.record.command.stamp_ns if self.record else None
         return answered_ns == self.supervisor.newest_ns
+
+    @property
+    def is_in_step(self) -> bool:
+        """Whether states come at the rate of the controller."""
+        count = len(self._stamps) - 1
+        if count < 1:
+            return False
+        if self._stamps[-1] - self._stamps[-2] < CLOSEST_STATES * self._period_ns:
+            return False
+        interval_ns = (self._stamps[-1] - self._stamps[0]) / count
+        low, high = IN_STEP
+        return low * self._period_ns <= interval_ns <= high * self._period_ns
 
     def take_state(self, state: VehicleState, now_ns: int) -> bool:
         """Pass a state to the supervisor; a restart of the controller restarts the policy, too.
@@ -69,13 +97,17 @@ class TickPolicy:
         if restarted:
             self.restart_timer()
             self.record = None
+            self._stamps.clear()
+        if self.supervisor.newest_ns not in self._stamps:
+            self._stamps.append(self.supervisor.newest_ns)
         return restarted
 
     def on_input(self) -> Action:
         """Return what to do after a state; in lock-step also after a path."""
         if self.lock_step:
             return Action.REPEAT if self.is_answered else Action.TICK
-        return Action.TICK if self._is_deferred else Action.WAIT
+        is_due = self._is_deferred or (self.is_in_step and not self.is_answered)
+        return Action.TICK if is_due else Action.WAIT
 
     def on_timer(self, now_ns: int, left_ns: int) -> Action:
         """Return what to do at a call of the timer.
@@ -87,7 +119,9 @@ class TickPolicy:
         self._count_left_out(now_ns, left_ns)
         if not self.is_answered or self.supervisor.is_state_late(now_ns):
             return Action.TICK
-        is_continued = self._is_deferred or self._is_continued or self._is_slow
+        is_recent = 0 < now_ns - self._ticked_ns <= LONGEST_WAIT * self._period_ns
+        is_overdue = self._is_deferred and not (is_recent and self.is_in_step)
+        is_continued = is_overdue or self._is_continued or self._is_slow
         self.missed += is_continued
         if is_continued and self.supervisor.can_predict(now_ns):
             self._is_continued = True
@@ -111,9 +145,10 @@ class TickPolicy:
         """
         if not self.supervisor.is_ready:
             return None
-        self._is_deferred = False
+        self._is_deferred, self._ticked_ns = False, now_ns
         if not self.is_answered:
-            self._is_slow, self._is_continued = self._is_continued, False
+            self._is_slow = self._is_continued and not self.is_in_step
+            self._is_continued = False
         if self.lock_step:
             self.record = self.supervisor.tick(self.supervisor.newest_ns, self.supervisor.period)
         else:

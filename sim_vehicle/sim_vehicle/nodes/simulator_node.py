@@ -36,6 +36,9 @@ PERIOD_NS = 100_000_000
 """Control period in lock-step [ns]."""
 REAL_TIME_RATE = 50.0
 """Default rate of the states in real-time mode [Hz]."""
+LAG_NS = STEP_NS // 2
+"""Age of the states in real time, so that a timer that is less than this too early or too late does
+not add or leave out a step [ns]."""
 LONGEST_CATCH_UP = 0.5
 """Longest time that is caught up at once; the car stands still during a longer pause of this
 process or jump of the clock [s]."""
@@ -203,7 +206,7 @@ class SimulatorNode(BaseNode):
         if due_ns > LONGEST_CATCH_UP * NANOSECONDS:
             pause = due_ns / NANOSECONDS
             self.get_logger().warning(f"no state for {pause:.1f} s: the car stood still meanwhile")
-            self.start_ns += due_ns - STEP_NS
+            self.start_ns += due_ns - STEP_NS - LAG_NS
             due_ns, now_ns = STEP_NS, self.now_ns  # the commands of the pause are still to come
             self.answers = {t: a._replace(stamp_ns=now_ns) for t, a in self.answers.items()}
         if due_ns >= STEP_NS:
@@ -222,6 +225,7 @@ class SimulatorNode(BaseNode):
             return
         start, target = self.simulation.start_speed, self.answers[ros.TARGET_SPEED].value
         self.simulation.set_speed(min(start, target))
+        self.start_ns -= LAG_NS
         self.is_driving = True
 
     def waits_for(self) -> str:
