@@ -43,7 +43,7 @@ SVG_CLIPS = re.compile(r"\bp[0-9a-f]{10}\b")
 
 
 def lay_out(figure: Figure) -> None:
-    """Give the panels of a figure their places, without drawing it."""
+    """Place the panels of a figure, without drawing it."""
     if engine := figure.get_layout_engine():
         engine.execute(figure)
 

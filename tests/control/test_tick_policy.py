@@ -316,7 +316,7 @@ def test_ticks_are_those_of_the_rules_of_the_node(
         if len(newest) > 1 and newest[-1] - newest[-2] < 0.4 * PERIOD_NS:
             return False
         span = (newest[-1] - newest[0]) / PERIOD_NS if newest else 0.0
-        return 0.9 * (len(newest) - 1) <= span <= 1.5 * (len(newest) - 1) and len(newest) > 1
+        return 0.9 * (len(newest) - 1) <= span <= 1.2 * (len(newest) - 1) and len(newest) > 1
 
     def step() -> None:
         nonlocal answered_ns, is_deferred, ticked_ns

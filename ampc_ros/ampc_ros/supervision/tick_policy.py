@@ -6,7 +6,7 @@ from enum import Enum
 from ampc_msgs_config.types import NANOSECONDS, TickRecord, VehicleState
 from ampc_ros.supervision.supervisor import Supervisor
 
-IN_STEP = (0.9, 1.5)
+IN_STEP = (0.9, 1.2)
 """Mean time between states that come at the rate of the controller [periods]; some may be lost."""
 LONGEST_WAIT = 1.5
 """Age of the last command up to which such a state may be late [periods]. It may come just before
