@@ -1,11 +1,18 @@
 """The loop of a node: subscriptions, timers, guard conditions and, now and then, services."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from rclpy.duration import Duration
+from rclpy.event_handler import (
+    EventHandler,
+    QoSSubscriptionEventType,
+    SubscriptionEventCallbacks,
+)
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -59,6 +66,32 @@ def test_execute_leaves_out_what_an_earlier_callback_has_destroyed_or_cancelled(
     for each in (cancelled, destroyed, subscription, other):
         execute(executor, each)
     assert called == ["other"]
+
+
+def test_only_an_urgent_event_ends_a_wait(node: BaseNode) -> None:
+    seen: list[str] = []
+    events = SubscriptionEventCallbacks(
+        deadline=lambda _: seen.append("deadline"), liveliness=lambda _: seen.append("liveliness")
+    )
+    profile = QoSProfile(depth=1, deadline=Duration(seconds=0.05))
+    node.create_subscription(Float64, "number", print, profile, event_callbacks=events)
+    publisher = node.create_publisher(Float64, "number", profile)
+    wait_for(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(Float64(data=1.0))  # the deadline counts from the first message on
+    kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED
+
+    found: list[Any] = []
+
+    def is_found() -> bool:
+        ready = ready_entities(node, 1.0, (kind,))
+        found.extend(each for each in ready if isinstance(each, EventHandler))
+        return bool(found)
+
+    wait_for(is_found, period=0.0)
+    assert {each.event_type for each in found} == {kind}
+    assert execute(SingleThreadedExecutor(), found[0])
+    assert seen == ["deadline"]
+    assert not any(isinstance(each, EventHandler) for each in ready_entities(node, 0.1))
 
 
 def test_a_polled_subscription_ends_no_wait_and_is_read_with_all_that_waits(

@@ -3,9 +3,8 @@
 import gc
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from typing import Any
 
 import rclpy
@@ -46,8 +45,8 @@ class BaseNode(Node):
 
     has_compiled_code = True
     """False: the process of this node never imports numba."""
-    needs_events = False
-    """Whether the node reacts to QoS events, which then cost processor time with each message."""
+    urgent_events: Collection[int] = ()
+    """Types of QoS events to which the node reacts at once; each costs time with each message."""
 
     def __init__(self, name: str, *, owns_time: bool = False) -> None:
         """Create the node.
@@ -252,13 +251,12 @@ def _spin(node: BaseNode, signals: list[int]) -> int:
     Raises:
         ValueError: A callback raised it in lock-step.
     """
-    loop = MessageLoop(node, node.failed)
-    run_next = partial(node.failed.run_next, loop.executor) if node.needs_events else loop.run_next
+    loop = MessageLoop(node, node.failed, node.urgent_events)
     gc.collect()
     gc.freeze()  # a full collection of these objects would delay a tick for nothing
     try:
         while not signals:
-            run_next(timeout=0.1)
+            loop.run_next(timeout=0.1)
         return 0
     except ExternalShutdownException:
         return 0

@@ -2,19 +2,20 @@
 
 For each callback, the executor of rclpy builds a wait set of all services, events, timers and
 subscriptions, twice. At 100 messages a second this costs more than the callbacks. This loop waits
-for subscriptions, timers and guard conditions only. Services, events and tasks are left to the
-executor, which looks for them every SERVICE_PERIOD; so are subscriptions in a `PolledGroup`, whose
-messages end no wait.
+for subscriptions, timers, guard conditions and the urgent events of the node. Services, other
+events and tasks are left to the executor, which looks for them every SERVICE_PERIOD; so are
+subscriptions in a `PolledGroup`, whose messages end no wait.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
+from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
@@ -30,7 +31,7 @@ SERVICE_PERIOD = 0.1
 """Wall time between two looks for requests of services and for events [s]."""
 MOST_CALLBACKS = 100
 """Largest number of callbacks of one kind that run in one look."""
-Entity = Timer | Subscription | GuardCondition
+Entity = Timer | Subscription | GuardCondition | EventHandler
 
 
 class PolledGroup(MutuallyExclusiveCallbackGroup):
@@ -40,14 +41,15 @@ class PolledGroup(MutuallyExclusiveCallbackGroup):
 class MessageLoop:
     """Runs the callbacks of a node; a callback that raises is counted and logged."""
 
-    def __init__(self, node: Node, failed: FailedCallbacks) -> None:
+    def __init__(self, node: Node, failed: FailedCallbacks, urgent: Collection[int] = ()) -> None:
         """Start to run a node, which no other executor may have.
 
         Args:
             node: The node.
             failed: Receives the failures.
+            urgent: Types of QoS events that end a wait.
         """
-        self.node, self.failed = node, failed
+        self.node, self.failed, self.urgent = node, failed, urgent
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(node)
         self.due = time.monotonic()
@@ -68,7 +70,7 @@ class MessageLoop:
                 repeat(partial(self.execute, subscription))
             repeat(partial(self.failed.run_next, self.executor, timeout=0.0))
         timeout = min(timeout, max(self.due - time.monotonic(), 0.0))
-        for each in ready_entities(self.node, timeout):
+        for each in ready_entities(self.node, timeout, self.urgent):
             self.execute(each)
 
     def execute(self, entity: Entity) -> bool:
@@ -92,12 +94,13 @@ def repeat(action: Callable[[], bool]) -> None:
             return
 
 
-def ready_entities(node: Node, timeout: float) -> list[Entity]:
-    """Wait until a timer, subscription or guard condition of a node is ready; return all that are.
+def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> list[Entity]:
+    """Wait until a timer, subscription, guard condition or event of a node is ready; return all.
 
     Args:
         node: The node.
         timeout: Longest wait [s].
+        urgent: Types of QoS events that end the wait.
 
     Raises:
         ExternalShutdownException: The context has been shut down.
@@ -107,12 +110,15 @@ def ready_entities(node: Node, timeout: float) -> list[Entity]:
     """
     timers, guards = list(node.timers), list(node.guards)
     subscriptions = [each for each in node.subscriptions if not is_polled(each)]
-    if not (timers or subscriptions or guards):  # an empty wait set is an error
+    events: list[Any] = [
+        each for each in node.waitables if getattr(each, "event_type", None) in urgent
+    ]
+    if not (timers or subscriptions or guards or events):  # an empty wait set is an error
         time.sleep(timeout)
         return []
     context: Context = node.context
     wait_set = rclpy_implementation.WaitSet(
-        len(subscriptions), len(guards), len(timers), 0, 0, 0, context.handle
+        len(subscriptions), len(guards), len(timers), 0, 0, len(events), context.handle
     )
     wait_set.clear_entities()
     for timer in timers:
@@ -121,16 +127,18 @@ def ready_entities(node: Node, timeout: float) -> list[Entity]:
         wait_set.add_subscription(subscription.handle)
     for guard in guards:
         wait_set.add_guard_condition(guard.handle)
+    for event in events:
+        event.add_to_wait_set(wait_set)
     wait_set.wait(round(timeout * NANOSECONDS))
     if not context.ok():
         raise ExternalShutdownException
-    kinds: dict[str, Sequence[Entity]]
+    kinds: dict[str, Sequence[Any]]
     kinds = {"timer": timers, "subscription": subscriptions, "guard_condition": guards}
     ready: list[Entity] = []
     for kind, entities in kinds.items():
         pointers = wait_set.get_ready_entities(kind)
         ready += [each for each in entities if each.handle.pointer in pointers]
-    return ready
+    return ready + [event for event in events if event.is_ready(wait_set)]
 
 
 def execute(executor: SingleThreadedExecutor, entity: Entity) -> bool:
@@ -148,6 +156,8 @@ def execute(executor: SingleThreadedExecutor, entity: Entity) -> bool:
         callback = executor._take_guard_condition(entity)
     elif isinstance(entity, Subscription):
         callback = executor._take_subscription(entity)
+    elif isinstance(entity, EventHandler):
+        callback = executor._take_waitable(entity)
     else:
         callback = executor._take_timer(entity) if is_due(entity) else None
     if callback:

@@ -13,6 +13,7 @@ from typing import Any
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import QoSSubscriptionEventType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, UInt64
 from std_srvs.srv import Trigger
@@ -60,7 +61,10 @@ class GateNode(BaseNode):
     """Receives what the car is to do, and publishes what it does."""
 
     has_compiled_code = False
-    needs_events = True
+    urgent_events = (
+        QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED,
+        QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED,
+    )
 
     def __init__(self) -> None:
         """Read vehicle, guard and settings; publish nothing before all inputs are complete."""
