@@ -19,6 +19,7 @@ PARTS = {
     "scaling": ("bench_swarm", "measure_scaling"),
     "start": ("bench_node", "measure_start"),
     "node": ("bench_node", "measure"),
+    "processes": ("bench_processes", "measure"),
     "inputs": ("bench_inputs", "measure"),
 }
 """Module and function that returns the tables of a part."""

@@ -9,6 +9,7 @@ when the answers arrive.
 import argparse
 import json
 import os
+import resource
 import signal
 import statistics
 import subprocess
@@ -47,6 +48,12 @@ START_NOTE = (
     "Cold: without compiled code; warm: median of {runs} starts."
 )
 CONTROLLERS = ("preview", "paper")
+EMPTY = "an empty rclpy node"
+EMPTY_NODE = """
+import rclpy
+rclpy.init()
+rclpy.create_node("empty").get_logger().info("[empty]: ready")
+"""
 WIDTH = 160
 """Minimum width of the printed table [characters]."""
 SPIN = "while True: pass"
@@ -97,16 +104,26 @@ def measure(*, quick: bool) -> list[Section]:
 
 
 def measure_start(*, quick: bool) -> list[Section]:
-    """Return one table of the start time: a row for each formulation."""
+    """Return one table of the start time: a row for each formulation, and an empty node."""
     runs = 1 if quick else 7
     rows: list[Row] = []
     for controller in CONTROLLERS[: 1 if quick else None]:
-        with tempfile.TemporaryDirectory() as cache:
-            cold = seconds_to_ready(controller, cache)
-            warm = [seconds_to_ready(controller, cache) for _ in range(runs)]
-        row = {"cold [s]": cold, "warm [s]": statistics.median(warm)}
-        rows.append({"controller": controller, **row, "warm, slowest [s]": max(warm)})
+        command = ["-m", "ampc_ros.nodes.controller_node", "--ros-args", "-p"]
+        rows.append(start_row(controller, [*command, f"controller:={controller}"], runs))
+    rows.append(start_row(EMPTY, ["-c", EMPTY_NODE], runs))
     return [Section("start", "Start of the node", START_NOTE.format(runs=runs), rows)]
+
+
+def start_row(name: str, command: Sequence[str], runs: int) -> Row:
+    """Return the start times of a node, without and with compiled code [s]."""
+    with tempfile.TemporaryDirectory() as cache:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cold = seconds_to_ready(command, cache)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        warm = [seconds_to_ready(command, cache) for _ in range(runs)]
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    row = {"controller": name, "cold [s]": cold, "cold, CPU [s]": cpu}
+    return row | {"warm [s]": statistics.median(warm), "warm, slowest [s]": max(warm)}
 
 
 def measure_rate(rate: int, seconds: float, busy: int) -> NodeRow:
@@ -163,16 +180,15 @@ def busy_cores(count: int) -> Iterator[None]:
             process.wait()
 
 
-def seconds_to_ready(controller: str, cache: str) -> float:
-    """Start the node with a cache of compiled code; return the time until it is ready [s].
+def seconds_to_ready(arguments: Sequence[str], cache: str) -> float:
+    """Start a node with a cache of compiled code; return the time until it is ready [s].
 
     Raises:
         RuntimeError: The node ended before; the message holds its output.
     """
     environment = {**ros_environment(), "XDG_CACHE_HOME": cache}
     environment.pop("NUMBA_CACHE_DIR", None)
-    command = [sys.executable, "-m", "ampc_ros.nodes.controller_node"]
-    command += ["--ros-args", "-p", f"controller:={controller}"]
+    command = [sys.executable, *arguments]
     begin, output = time.monotonic(), ""
     node = subprocess.Popen(
         command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
@@ -185,7 +201,7 @@ def seconds_to_ready(controller: str, cache: str) -> float:
     finally:
         os.kill(node.pid, signal.SIGKILL)
         node.wait()
-    raise RuntimeError(f"controller: ended before it was ready: {output.strip()[-500:]}")
+    raise RuntimeError(f"{command}: ended before it was ready: {output.strip()[-500:]}")
 
 
 def node_section(rows: Sequence[NodeRow]) -> Section:

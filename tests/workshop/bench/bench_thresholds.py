@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
+from tests.workshop.bench.bench_node import CONTROLLERS, EMPTY
+from tests.workshop.bench.bench_processes import CPU_LIMITS, MEMORY_LIMITS
 from tests.workshop.bench.bench_report import Row, Section, text
 from tests.workshop.bench.bench_solvers import INSIDE as QP_INSIDE
 from tests.workshop.bench.bench_solvers import OWN_CLOCK
@@ -34,6 +36,8 @@ def threshold_table(sections: Sequence[Section]) -> list[Section]:
         "swarm_preview": lambda rows: of_swarm("preview", rows),
         "scaling": of_scaling,
         "node": of_node,
+        "processes": of_processes,
+        "start": of_start,
         "inputs": of_inputs,
     }
     rows = [row for s in sections if s.key in evaluations for row in evaluations[s.key](s.rows)]
@@ -141,4 +145,34 @@ def of_inputs(rows: list[Row]) -> list[Row]:
     return [
         compare(row["what"], "processor time [s]", row["processor time [s]"], f"<= {limit:.3g}")
         for row, limit in limits
+    ]
+
+
+def of_processes(rows: list[Row]) -> list[Row]:
+    """Compare processor time and memory of the nodes."""
+    comparisons = []
+    for row in rows:
+        name = row["node"]
+        for rate, limits in CPU_LIMITS.items():
+            key = f"CPU at {rate} Hz [%]"
+            if name in limits and key in row:
+                what = f"{name} at {rate} Hz: processor time [%]"
+                comparisons.append(
+                    compare(what, "drive in real time", row[key], f"<= {limits[name]}")
+                )
+        limit = f"<= {MEMORY_LIMITS[name]}"
+        memory = row["memory [MB]"]
+        comparisons.append(compare(f"{name}: resident memory [MB]", "the same", memory, limit))
+    return comparisons
+
+
+def of_start(rows: list[Row]) -> list[Row]:
+    """Compare the start of the default controller with that of an empty node."""
+    by_name = named(rows)
+    ours, empty = by_name[CONTROLLERS[0]], by_name[EMPTY]
+    ratio = ours["warm [s]"] / empty["warm [s]"]
+    return [
+        compare("cold start of the node [s]", "wall time", ours["cold [s]"], "<= 12"),
+        compare("cold start of the node [s]", "processor time", ours["cold, CPU [s]"], "<= 20"),
+        compare("warm start / that of an empty rclpy node", "wall time", ratio, "<= 1.7"),
     ]
