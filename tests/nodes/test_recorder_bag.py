@@ -265,4 +265,5 @@ def test_a_second_recorder_in_the_same_folder_overwrites_nothing(tmp_path: Path)
     complaint = f"{tmp_path / 'bag'}: holds a bag already, and bags are never overwritten"
     assert (second.returncode, said) == (2, f"error: {complaint}\n")
     assert stop(recorder, signal.SIGINT)[0] == 0
-    assert not list(read(tmp_path / "bag"))
+    # the first one may hear the parameters of the second one
+    assert {entry.topic for entry in read(tmp_path / "bag")} <= {"/parameter_events"}

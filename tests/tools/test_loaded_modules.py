@@ -37,7 +37,7 @@ assert start.finish(run, start.RunEnded("completed", 0), Console()) == 0
 
 
 @pytest.mark.parametrize(
-    ("code", "scripts", "modules"), [(REPORT, 13, 31), (START, 30, 60)], ids=["report", "start"]
+    ("code", "scripts", "modules"), [(REPORT, 14, 34), (START, 30, 60)], ids=["report", "start"]
 )
 def test_a_command_loads_few_modules_of_the_project(
     code: str, scripts: int, modules: int, tmp_path: Path
