@@ -17,6 +17,7 @@ from ampc_msgs_config.paths.path_file import from_csv
 from ampc_msgs_config.paths.path_fitting import make_path
 from ampc_msgs_config.paths.path_frame import rotate
 from ampc_msgs_config.scenarios.scenario import Scenario, SpeedProfile, load_scenario
+from ampc_msgs_config.scenarios.wind import Wind
 from ampc_msgs_config.types import Plan, VehicleState
 from ampc_ros.configuration import Choices
 from ampc_ros.controller import make_controller
@@ -228,3 +229,14 @@ def test_real_roads_are_driven_to_their_end(
     assert np.abs(judgement[:, 0]).max() < error
     driven_length = sum(0.1 * state.v_x for state in done.states)
     assert driven_length > 0.95 * make_path(road.points).length
+
+
+def test_the_wind_of_a_simulation_is_that_of_its_time() -> None:
+    gust = Wind(kind="gust", start=0.1, end=1.3, speed=8.0)
+    simulation = Simulation(PAPER, scenario("sc1")._replace(wind=(gust,)))
+    for time in (0.0, 0.4, 0.7, 1.2, 1.4):
+        while simulation.elapsed_ns < round(time * 1e9):
+            simulation.advance(0.0, 9.0, simulation.step_ns)
+        shape = 1.0 - math.cos(math.tau * (time - 0.1) / 1.2)
+        expected = 4.0 * shape if 0.1 < time < 1.3 else 0.0
+        assert simulation.wind() == pytest.approx((0.0, expected), abs=1e-9)

@@ -115,8 +115,11 @@ def test_it_subscribes_only_while_a_viewer_is_subscribed(viewer: Viewer) -> None
     assert node.inputs.topics.keys() == set(TYPES)
     assert {name for name, _ in viewer.picture()} == {"car", "text"}
     viewer.destroy_subscription(viewer.eye)
+    at_rest = VehicleState(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    node.keep(ros.ODOM, ros.odometry_message(at_rest))  # it came with the end of the viewer
     spin_until(viewer.all, lambda: not node.inputs.topics)
     assert not node.values
+    assert not node.new
 
 
 def test_it_reports_while_a_viewer_is_subscribed(viewer: Viewer) -> None:

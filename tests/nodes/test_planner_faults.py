@@ -102,7 +102,9 @@ def test_the_planner_s_reset_keeps_the_stop_of_a_publisher_that_is_alive() -> No
         add(executor, node)
         publish_stop(executor, "gate", False, True)
         spin_until(executor, lambda: node.stop_requested)
+        node.sources.conflict = "two controllers"
         node.on_reset_stop(Trigger.Request(), Trigger.Response())
+        assert not node.sources.conflict
         spin_until(executor, lambda: node.requests.in_force)
         assert node.stop == "a stop is requested"
 
