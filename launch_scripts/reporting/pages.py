@@ -8,10 +8,10 @@ import base64
 import math
 import re
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 from rich.console import JustifyMethod
 from rich.table import Table
@@ -38,7 +38,7 @@ def render(template: str, **values: Any) -> str:
     Raises:
         jinja2.UndefinedError: The template uses a variable that is not in `values`.
     """
-    return ENVIRONMENT.get_template(template).render(**values)
+    return str(environment().get_template(template).render(**values))
 
 
 def num(value: float, pattern: str = "") -> Markup:
@@ -174,14 +174,20 @@ def svg_url(svg: str) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
 
 
-ENVIRONMENT = Environment(
-    loader=FileSystemLoader(ROOT),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-)
-ENVIRONMENT.filters |= {"num": num, "text": text, "svg_url": svg_url, "length_text": length_text}
-ENVIRONMENT.filters |= {"breakable": breakable, "command": command_words}
-ENVIRONMENT.globals["source"] = source
+@cache
+def environment() -> Any:
+    """Return the settings, filters and functions of all templates (jinja2.Environment)."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # `--help` needs no pages
+
+    result = Environment(
+        loader=FileSystemLoader(ROOT),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    result.filters |= {"num": num, "text": text, "svg_url": svg_url, "length_text": length_text}
+    result.filters |= {"breakable": breakable, "command": command_words}
+    result.globals["source"] = source
+    return result
