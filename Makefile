@@ -71,7 +71,7 @@ proofs: dev  ## test the workshop; solve degenerate QPs; damage bags, recover; k
 	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_replay; fi
 	@if [ -n "$(FULL)" ]; then $(VENV_PYTHON) -m tests.workshop.proofs.prove_restarts --moments 100; fi
 
-mutation: dev  ## change 300 details of the code, one at a time: the tests must detect 92 % (below 1 h)
+mutation: dev  ## change 300 details of the code, one at a time: the tests must detect 92 % (several hours)
 	@$(VENV_PYTHON) -m tests.workshop.proofs.mutation $(MUTATION)
 
 bench:  ## measure against other solvers and tools (about 10 min), into runs/bench

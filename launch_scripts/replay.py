@@ -43,7 +43,10 @@ def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--close-loop", action="store_true", help="drive the simulated car of the bag")
     text = "the car, if the bag does not name it: YAML file, or " + ", ".join(shipped("vehicles"))
     add("--vehicle", default=Choices().vehicle, help=text + "; default: %(default)s")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if not options.tolerance >= 0.0:
+        parser.error(f"--tolerance {options.tolerance:g} must be at least 0 rad")
+    return options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

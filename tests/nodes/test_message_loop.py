@@ -1,5 +1,6 @@
 """The loop of a node: subscriptions, timers, guard conditions and, now and then, services."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -37,17 +38,17 @@ def node() -> Iterator[BaseNode]:
 
 def test_ready_entities_are_those_whose_callback_is_due(node: BaseNode) -> None:
     guard = node.create_guard_condition(lambda: None)
-    assert ready_entities(node, 0.0) == []
+    assert ready_entities(SingleThreadedExecutor(), node, 0.0) == []
     guard.trigger()
-    assert ready_entities(node, 10.0) == [guard]
+    assert ready_entities(SingleThreadedExecutor(), node, 10.0) == [guard]
     timer = node.create_timer(0.001, lambda: None)
-    assert ready_entities(node, 10.0) == [timer]
+    assert ready_entities(SingleThreadedExecutor(), node, 10.0) == [timer]
     timer.cancel()
     subscription = node.create_subscription(Float64, "number", lambda _: None, ros.RELIABLE)
     publisher = node.create_publisher(Float64, "number", ros.RELIABLE)
     wait_for(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Float64(data=1.0))
-    assert ready_entities(node, 10.0) == [subscription]
+    assert ready_entities(SingleThreadedExecutor(), node, 10.0) == [subscription]
 
 
 def test_execute_leaves_out_what_an_earlier_callback_has_destroyed_or_cancelled(
@@ -59,12 +60,12 @@ def test_execute_leaves_out_what_an_earlier_callback_has_destroyed_or_cancelled(
     destroyed = node.create_timer(0.001, lambda: called.append("destroyed"))
     subscription = node.create_subscription(Float64, "number", called.append, ros.RELIABLE)
     other = node.create_timer(0.001, lambda: called.append("other"))
-    wait_for(lambda: len(ready_entities(node, 1.0)) == 3)
+    wait_for(lambda: len(ready_entities(SingleThreadedExecutor(), node, 1.0)) == 3)
     cancelled.cancel()
     node.destroy_timer(destroyed)
     node.destroy_subscription(subscription)
     for each in (cancelled, destroyed, subscription, other):
-        execute(executor, each)
+        execute(executor, node, each)
     assert called == ["other"]
 
 
@@ -83,15 +84,18 @@ def test_only_an_urgent_event_ends_a_wait(node: BaseNode) -> None:
     found: list[Any] = []
 
     def is_found() -> bool:
-        ready = ready_entities(node, 1.0, (kind,))
+        ready = ready_entities(SingleThreadedExecutor(), node, 1.0, (kind,))
         found.extend(each for each in ready if isinstance(each, EventHandler))
         return bool(found)
 
     wait_for(is_found, period=0.0)
     assert {each.event_type for each in found} == {kind}
-    assert execute(SingleThreadedExecutor(), found[0])
+    assert execute(SingleThreadedExecutor(), node, found[0])
     assert seen == ["deadline"]
-    assert not any(isinstance(each, EventHandler) for each in ready_entities(node, 0.1))
+    assert not any(
+        isinstance(each, EventHandler)
+        for each in ready_entities(SingleThreadedExecutor(), node, 0.1)
+    )
 
 
 def test_a_polled_subscription_ends_no_wait_and_is_read_with_all_that_waits(
@@ -115,13 +119,39 @@ def test_a_polled_subscription_ends_no_wait_and_is_read_with_all_that_waits(
     for number in numbers:
         publisher.publish(Float64(data=number))
     assert publisher.wait_for_all_acked(Duration(seconds=10))
-    assert ready_entities(node, 0.1) == []
+    assert ready_entities(SingleThreadedExecutor(), node, 0.1) == []
 
     def has_all() -> bool:
         loop.run_next(timeout=0.01)
         return received == numbers
 
     wait_for(has_all, period=0.0)
+
+
+def test_a_burst_of_requests_is_answered_without_a_wait_between_them(node: BaseNode) -> None:
+    other, answered = Node("other"), list[int]()
+    executor = SingleThreadedExecutor()
+    executor.add_node(other)
+
+    def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        answered.append(loops[0])
+        return response
+
+    node.create_service(Trigger, "count", answer)
+    client = other.create_client(Trigger, "count")
+    loop, loops = MessageLoop(node, node.failed), [0]
+    loop.due = math.inf  # the executor looks for nothing
+    wait_for(client.service_is_ready)
+    futures = [client.call_async(Trigger.Request()) for _ in range(10)]
+
+    def is_answered() -> bool:
+        loops[0] += 1
+        loop.run_next(timeout=0.05)
+        executor.spin_once(timeout_sec=0.0)
+        return len(answered) == len(futures)
+
+    wait_for(is_answered, period=0.0)
+    other.destroy_node()
 
 
 def test_services_that_wait_for_a_message_are_answered(node: BaseNode) -> None:

@@ -373,3 +373,12 @@ def test_what_is_wrong_is_told_in_one_line(
     assert sentence in said
     assert said.startswith("error: ")
     assert "\n" not in said
+
+
+@pytest.mark.parametrize("tolerance", ["-1", "nan"])
+def test_a_tolerance_that_is_no_angle_is_refused(
+    tolerance: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["bag", "--tolerance", tolerance])
+    assert f"--tolerance {tolerance} must be at least 0 rad" in capsys.readouterr().err

@@ -98,8 +98,7 @@ def run_callback(executor: Executor, timeout: float) -> tuple[Any, Exception | N
     """Run the next callback; return its entity and its exception, each None where there is none.
 
     Note:
-        This is `spin_once`, which does not name the entity. An entity whose message could not be
-        taken would never be waited for again: rclpy marks it as being executed.
+        This is `spin_once`, which does not name the entity.
     """
     entity: Any = None
     try:
@@ -110,10 +109,20 @@ def run_callback(executor: Executor, timeout: float) -> tuple[Any, Exception | N
         return None, None
     except Exception as failure:
         error = failure
-    if error is not None and getattr(entity, "_executor_event", False):
+    if error is not None:
+        release(entity)
+    return entity, error
+
+
+def release(entity: Any) -> None:
+    """Let an entity whose callback has failed be waited for again.
+
+    Note:
+        Where its message could not be taken, rclpy goes on marking it as being executed.
+    """
+    if getattr(entity, "_executor_event", False):
         entity._executor_event = False
         entity.callback_group.ending_execution(entity)
-    return entity, error
 
 
 def place_of(error: BaseException) -> str:

@@ -2,9 +2,9 @@
 
 For each callback, the executor of rclpy builds a wait set of all services, events, timers and
 subscriptions, twice. At 100 messages a second this costs more than the callbacks. This loop waits
-for subscriptions, timers, guard conditions and the urgent events of the node. Services, other
-events and tasks are left to the executor, which looks for them every SERVICE_PERIOD; so are
-subscriptions in a `PolledGroup`, whose messages end no wait.
+for subscriptions, timers, guard conditions, services and the urgent events of the node. Other
+events, and services that await something, are left to the executor, which looks for them every
+TASK_PERIOD; so are subscriptions in a `PolledGroup`, whose messages end no wait.
 """
 
 import time
@@ -21,21 +21,22 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks
+from ampc_msgs_config.nodes.failed_callbacks import FailedCallbacks, release
 from ampc_msgs_config.types import NANOSECONDS
 
-SERVICE_PERIOD = 0.1
-"""Wall time between two looks for requests of services and for events [s]."""
+TASK_PERIOD = 0.1
+"""Wall time between two looks for events, and for what services await [s]."""
 MOST_CALLBACKS = 100
 """Largest number of callbacks of one kind that run in one look."""
-Entity = Timer | Subscription | GuardCondition | EventHandler
+Entity = Timer | Subscription | GuardCondition | Service | EventHandler
 
 
 class PolledGroup(MutuallyExclusiveCallbackGroup):
-    """Callback group of subscriptions that a `MessageLoop` reads every SERVICE_PERIOD."""
+    """Callback group of subscriptions that a `MessageLoop` reads every TASK_PERIOD."""
 
 
 class MessageLoop:
@@ -65,18 +66,18 @@ class MessageLoop:
             Exception: The callback raised it, see `FailedCallbacks`.
         """
         if time.monotonic() >= self.due:
-            self.due = time.monotonic() + SERVICE_PERIOD
+            self.due = time.monotonic() + TASK_PERIOD
             for subscription in filter(is_polled, list(self.node.subscriptions)):
                 repeat(partial(self.execute, subscription))
             repeat(partial(self.failed.run_next, self.executor, timeout=0.0))
         timeout = min(timeout, max(self.due - time.monotonic(), 0.0))
-        for each in ready_entities(self.node, timeout, self.urgent):
+        for each in ready_entities(self.executor, self.node, timeout, self.urgent):
             self.execute(each)
 
     def execute(self, entity: Entity) -> bool:
         """Run the callback of an entity; return whether there was a message, or it was due."""
         try:
-            return execute(self.executor, entity)
+            return execute(self.executor, self.node, entity)
         except Exception as error:
             self.failed.handle(entity, error)
             return True
@@ -94,10 +95,13 @@ def repeat(action: Callable[[], bool]) -> None:
             return
 
 
-def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> list[Entity]:
-    """Wait until a timer, subscription, guard condition or event of a node is ready; return all.
+def ready_entities(
+    executor: SingleThreadedExecutor, node: Node, timeout: float, urgent: Collection[int] = ()
+) -> list[Entity]:
+    """Wait until a timer, subscription, guard, service or event of a node is ready; return all.
 
     Args:
+        executor: Executor of the node, which knows the services that still await something.
         node: The node.
         timeout: Longest wait [s].
         urgent: Types of QoS events that end the wait.
@@ -110,15 +114,22 @@ def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> 
     """
     timers, guards = list(node.timers), list(node.guards)
     subscriptions = [each for each in node.subscriptions if not is_polled(each)]
+    services = list(filter(executor.can_execute, node.services))
     events: list[Any] = [
         each for each in node.waitables if getattr(each, "event_type", None) in urgent
     ]
-    if not (timers or subscriptions or guards or events):  # an empty wait set is an error
-        time.sleep(timeout)
+    if not (timers or subscriptions or guards or services or events):
+        time.sleep(timeout)  # an empty wait set is an error
         return []
     context: Context = node.context
     wait_set = rclpy_implementation.WaitSet(
-        len(subscriptions), len(guards), len(timers), 0, 0, len(events), context.handle
+        len(subscriptions),
+        len(guards),
+        len(timers),
+        0,
+        len(services),
+        len(events),
+        context.handle,
     )
     wait_set.clear_entities()
     for timer in timers:
@@ -127,6 +138,8 @@ def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> 
         wait_set.add_subscription(subscription.handle)
     for guard in guards:
         wait_set.add_guard_condition(guard.handle)
+    for service in services:
+        wait_set.add_service(service.handle)
     for event in events:
         event.add_to_wait_set(wait_set)
     wait_set.wait(round(timeout * NANOSECONDS))
@@ -134,6 +147,7 @@ def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> 
         raise ExternalShutdownException
     kinds: dict[str, Sequence[Any]]
     kinds = {"timer": timers, "subscription": subscriptions, "guard_condition": guards}
+    kinds["service"] = services
     ready: list[Entity] = []
     for kind, entities in kinds.items():
         pointers = wait_set.get_ready_entities(kind)
@@ -141,7 +155,7 @@ def ready_entities(node: Node, timeout: float, urgent: Collection[int] = ()) -> 
     return ready + [event for event in events if event.is_ready(wait_set)]
 
 
-def execute(executor: SingleThreadedExecutor, entity: Entity) -> bool:
+def execute(executor: SingleThreadedExecutor, node: Node, entity: Entity) -> bool:
     """Run the callback of an entity that has a message or is due; return whether it has, or is.
 
     Another callback may have destroyed or cancelled it.
@@ -152,6 +166,13 @@ def execute(executor: SingleThreadedExecutor, entity: Entity) -> bool:
     Note:
         The functions of the executor that take a message are private interfaces of rclpy.
     """
+    if isinstance(entity, Service):
+        task = executor._make_handler(entity, node, executor._take_service)
+        task()
+        if error := task.exception():
+            release(entity)
+            raise error
+        return True
     if isinstance(entity, GuardCondition):
         callback = executor._take_guard_condition(entity)
     elif isinstance(entity, Subscription):
