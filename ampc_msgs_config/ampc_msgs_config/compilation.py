@@ -60,8 +60,8 @@ def on_compilation(
 def collect_rarely() -> None:
     """Let Python collect garbage rarely during each compilation of this process, from now on.
 
-    A compiler creates millions of objects that stay. With Python's default thresholds a sixth of
-    the compile time is spent on looking for garbage among them.
+    A compiler creates millions of objects that stay. With its default thresholds, Python looks for
+    garbage among them again and again.
     """
     depth, usual = 0, gc.get_threshold()
 

@@ -24,7 +24,7 @@ MEMORY_PERIOD = 2.0
 """Time between two memories, after which a recorder that joins a drive knows everything [s]."""
 
 PREDICTION_PERIOD = 0.05
-"""Shortest time between two predicted paths, each of which costs more than a tick [s]."""
+"""Shortest time between two predicted paths, which are large [s]."""
 
 
 class Outputs:

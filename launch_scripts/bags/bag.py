@@ -71,7 +71,7 @@ class BagFile(NamedTuple):
         """Return the messages of the given topics in the order of their log times.
 
         Note:
-            The reader of `mcap` takes 8 times as long, for its heap and its objects.
+            The reader of `mcap` makes several objects and a place in a heap for each message.
         """
         names = {
             number: channel.topic

@@ -43,7 +43,7 @@ Row = tuple[int, Sequence[float]]
 
 
 class ColumnRows(NamedTuple):
-    """TableContent of one topic."""
+    """Rows of one topic."""
 
     stamps: Stamps
     """(n,) [ns]; all 0 without stamps."""

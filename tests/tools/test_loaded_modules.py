@@ -37,7 +37,17 @@ assert start.finish(run, start.RunEnded("completed", 0), Console()) == 0
 
 
 @pytest.mark.parametrize(
-    ("code", "scripts", "modules"), [(REPORT, 14, 34), (START, 30, 60)], ids=["report", "start"]
+    ("code", "scripts", "modules"),
+    [
+        pytest.param(
+            *(REPORT, 13, 31),
+            marks=pytest.mark.xfail(
+                raises=AssertionError, strict=True, reason="14 and 34: bags are read as tables"
+            ),
+        ),
+        (START, 30, 60),
+    ],
+    ids=["report", "start"],
 )
 def test_a_command_loads_few_modules_of_the_project(
     code: str, scripts: int, modules: int, tmp_path: Path
@@ -47,7 +57,7 @@ def test_a_command_loads_few_modules_of_the_project(
     command = [sys.executable, "-c", LIST + code + end, str(bag), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     before, after, matplotlib = json.loads(done.stdout.splitlines()[-1])
-    assert set(before) <= set(after)
+    if matplotlib or not set(before) <= set(after):
+        pytest.fail(f"loaded: {matplotlib}")
     assert len([name for name in after if name.startswith("launch_scripts.")]) <= scripts
     assert len(after) <= modules
-    assert not matplotlib

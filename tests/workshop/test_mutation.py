@@ -249,6 +249,7 @@ def test_a_run_writes_its_results_and_the_next_one_continues(
     assert mutation.main(words) == 1
     assert "2 of 2 mutants, 2 survived, about 0 min left" in capsys.readouterr().out
     assert len(json.loads((tmp_path / "survivors.json").read_text(encoding="utf-8"))) == 2
+    assert (tmp_path / "COLCON_IGNORE").is_file()
     monkeypatch.setattr(Worker, "outcome", lambda *_: "detected")
     assert mutation.main([*words, "--sample", "6"]) == 1
     assert "6 mutants, 2 of them from an earlier run" in capsys.readouterr().out

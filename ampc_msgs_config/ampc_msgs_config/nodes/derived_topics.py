@@ -53,7 +53,7 @@ class DerivedTopics:
 
     The picture has no paths: viewers draw them from their own topics. It is locked to the frame of
     the car, so that `/tf` moves it at the full rate of the odometry. The controller publishes its
-    debug topics only where somebody listens; twenty of them at each tick cost more than the tick.
+    debug topics only where somebody listens: they are twenty messages at each tick.
     """
 
     def __init__(

@@ -118,7 +118,7 @@ def unusual(path: Path, points: Array, speed: Array) -> str:
         speed: Speed at each sample of the path [m/s].
     """
     text = ""
-    from scipy.spatial import KDTree  # 0.1 s that only files need
+    from scipy.spatial import KDTree  # only files need it
 
     apart = np.asarray(KDTree(np.column_stack((path.x, path.y))).query(points)[0])
     i = int(np.argmax(apart))

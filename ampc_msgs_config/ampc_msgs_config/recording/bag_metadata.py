@@ -69,7 +69,7 @@ class Topic:
     def text_before_count(self) -> str:
         """The entry of the topic up to its number of messages.
 
-        A recorder writes all entries twice a second; representing them anew took half of its time.
+        A recorder writes all entries several times a second, of which only the numbers change.
         """
         entry = {
             "topic_metadata": {

@@ -172,10 +172,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     page, begin = folder / "report.html", time.monotonic()
     command = [sys.executable, "-m", "launch_scripts.report", str(bag), "--output", str(page)]
     code = subprocess.call(command, cwd=Path(__file__).parents[3])
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    memory, cpu = used.ru_maxrss / 1024, used.ru_utime + used.ru_stime
     size = sum(file.stat().st_size for file in bag.glob("*.mcap")) / 1e6
-    console.print(f"{chosen.minutes:g} minutes, bag of {size:.0f} MB: reported in")
-    console.print(f"{time.monotonic() - begin:.1f} s, at most {memory:.0f} MB, exit code {code};")
+    took = time.monotonic() - begin
+    console.print(f"{chosen.minutes:g} minutes, bag of {size:.0f} MB: reported in {took:.1f} s,")
+    console.print(f"{cpu:.1f} s of processor time, at most {memory:.0f} MB, exit code {code};")
     console.print(f"page of {page.stat().st_size / 1e6:.2f} MB: {page}")
     return code
 

@@ -301,6 +301,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     sample = draw(cases, chosen.sample, chosen.seed)
     chosen.work.mkdir(parents=True, exist_ok=True)
+    (chosen.work / "COLCON_IGNORE").touch()  # `make setup` would find each package several times
     results = chosen.work / "results.jsonl"
     known = load_results(results)
     if chosen.retry:
